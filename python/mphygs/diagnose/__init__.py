@@ -1,0 +1,1 @@
+"""Which physical effect is missing: scores, trials, missing force, verdict."""

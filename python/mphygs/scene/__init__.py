@@ -1,0 +1,1 @@
+"""The object at rest: quadrature points, exposed surface, attachments."""
