@@ -1,0 +1,51 @@
+"""Points of a .c3d motion capture file, in metres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+
+from mphygs.capture.errors import fault
+
+_METRES = {"m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+
+
+def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The first `frames` frames (T, M, 3) [m], NaN where a point was not seen, and the M labels.
+
+    Raises CaptureError when the file is damaged or truncated, has another rate than `fps`, no unit of length,
+    or fewer frames.
+    """
+    try:
+        content = ezc3d.c3d(str(path))
+    except (RuntimeError, OSError, ValueError, IndexError, MemoryError, OverflowError) as error:
+        reason = str(error) or type(error).__name__
+        raise fault(str(path), f"cannot be read, or is truncated ({reason})", "a .c3d file") from error
+    points = content["data"]["points"]
+    count = points.shape[2]
+    header = content["header"]["points"]
+    declared = int(header["last_frame"]) - int(header["first_frame"]) + 1
+    if count < declared:
+        raise fault(str(path), f"is truncated: {count} frames of {declared}", "the whole file")
+    if count < frames:
+        raise fault(f"{path}: POINT", f"has {count} frames", f"at least {frames}, as the sequence")
+    group = content["parameters"]["POINT"]
+    rate = float(header["frame_rate"])
+    if abs(rate - fps) > 1e-3 * fps:
+        raise fault(f"{path}: POINT:RATE", f"is {rate:g} Hz", f"the fps of the sequence, {fps:g}")
+    units = group["UNITS"]["value"] if "UNITS" in group else []
+    unit = units[0].strip().lower() if len(units) else ""
+    if unit not in _METRES:
+        raise fault(f"{path}: POINT:UNITS", f'is "{unit}"', f"one of {', '.join(_METRES)}")
+    position = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1).astype(np.float64) * _METRES[unit]
+    # a negative residual marks a point that was not seen
+    unseen = content["data"]["meta_points"]["residuals"][0].T < 0
+    position[unseen] = np.nan
+    position = position[:frames]
+    if np.isinf(position).any():
+        frame, marker, _ = (int(i) for i in np.argwhere(np.isinf(position))[0])
+        raise fault(f"{path}: POINT", f"is infinite in frame {frame}, point {marker}", "finite positions")
+    labels = list(group["LABELS"]["value"]) if "LABELS" in group else []
+    return position, tuple(label.strip() for label in labels[: points.shape[1]])

@@ -1,0 +1,176 @@
+"""Sanity of a whole capture: what each value allows on its own is checked where it is read; this is the rest."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.holds import Hold
+from mphygs.capture.markers import Markers
+from mphygs.capture.overlap import box_meets_solid, distance_to_box
+from mphygs.capture.record import Capture, Sequence
+
+SIZE = (1e-3, 20.0)  # [m] of the object
+DENSITY = (5.0, 25000.0)  # [kg/m^3], from light foam to osmium
+GRAVITY = 300.0  # [m/s^2]; more is another unit than m/s^2
+
+
+def check_capture(capture: Capture) -> None:
+    """Raise CaptureError at the first thing in the capture that contradicts another or cannot be in SI units."""
+    file = str(capture.folder / "capture.json")
+    _check_names(f"{file}: object.parts", [part.name for part in capture.parts], dots=False)
+    _check_names(f"{file}: sequences", [sequence.name for sequence in capture.sequences], dots=True)
+    _check_units(file, capture)
+    for index, sequence in enumerate(capture.sequences):
+        where = f"{file}: sequences[{index}]"
+        _check_measured(where, sequence)
+        for i, hold in enumerate(sequence.held):
+            _check_hold(f"{where}.held[{i}]", capture, hold)
+        for i, load in enumerate(sequence.loads):
+            _check_material(f"{where}.loads[{i}].box", capture, load.box)
+        if sequence.markers is not None:
+            _check_markers(f"{where}.markers", capture, sequence, sequence.markers)
+
+
+def _check_names(where: str, names: list[str], *, dots: bool) -> None:
+    """Names are keys of results, options and file names. A dot would split "<part>.<parameter>"."""
+    inner = r"[\w .+-]" if dots else r"[\w +-]"
+    for index, name in enumerate(names):
+        if not re.fullmatch(rf"\w(?:{inner}*\w)?", name):
+            marks = '"_", "-", "+"' + (', "."' if dots else "")
+            raise fault(f"{where}[{index}].name", f'is "{name}"', f"letters, digits and, between them, {marks} or spaces")
+        if name in names[:index]:
+            raise fault(f"{where}[{index}].name", f'"{name}" is given twice', "every name once")
+
+
+def _check_units(file: str, capture: Capture) -> None:
+    strength = float(np.linalg.norm(capture.gravity))
+    if strength > GRAVITY:
+        raise fault(f"{file}: gravity", f"is {strength:g} m/s^2 strong", f"at most {GRAVITY:g}, 9.81 on earth")
+    known = capture.known
+    for name, density in known.density.items():
+        _check_density(f"{file}: object.known.density.{name}", density)
+    if not capture.parts:
+        return
+    size = capture.diagonal
+    assert size is not None
+    if not SIZE[0] <= size <= SIZE[1]:
+        raise _wrong_size(f"{file}: object.parts", "the object", size)
+    for index, part in enumerate(capture.parts):
+        part_size = float(np.linalg.norm(part.bounds[1] - part.bounds[0]))
+        if part_size < size / 500:
+            raise fault(
+                f"{file}: object.parts[{index}].scale",
+                f'part "{part.name}" is {part_size:.3g} m across in an object of {size:.3g} m',
+                f"parts of one unit; if the file is in metres already set scale to {1000:g} times its value",
+            )
+    if known.mass is not None:
+        volume = sum(part.volume for part in capture.parts)
+        mean = known.mass / volume
+        if not DENSITY[0] <= mean <= DENSITY[1]:
+            raise fault(
+                f"{file}: object.known.mass",
+                f"{known.mass:g} kg in {volume:.3g} m^3 is {mean:.3g} kg/m^3",
+                f"{DENSITY[0]:g} to {DENSITY[1]:g} kg/m^3 (is mass in kg, and scale file unit -> metre?)",
+            )
+        least = sum(known.density.get(part.name, 0.0) * part.volume for part in capture.parts)
+        if least > 1.2 * known.mass:
+            raise fault(
+                f"{file}: object.known.mass",
+                f"{known.mass:g} kg is less than the {least:.3g} kg of the parts of known density",
+                "mass of the whole object",
+            )
+
+
+def _check_density(where: str, density: float) -> None:
+    if not DENSITY[0] <= density <= DENSITY[1]:
+        raise fault(where, f"is {density:g} kg/m^3", f"{DENSITY[0]:g} to {DENSITY[1]:g} kg/m^3")
+
+
+def _wrong_size(where: str, what: str, size: float) -> CaptureError:
+    """An object too large or too small, with the factor of 1000 that would bring it to a sensible size."""
+    factor = 1e-3 if size > SIZE[1] else 1e3
+    fits = SIZE[0] <= size * factor <= SIZE[1]
+    hint = f"; its units look off by 1000: set scale to {factor:g} times its value" if fits else ""
+    return fault(where, f"{what} is {size:.3g} m across", f"{SIZE[0]:g} to {SIZE[1]:g} m{hint}")
+
+
+def _check_measured(where: str, sequence: Sequence) -> None:
+    start, stop = sequence.fit
+    if start == stop or sequence.views is not None:
+        return
+    if sequence.markers is None:
+        raise fault(f"{where}.fit", "nothing is measured in this sequence", "markers or views to fit to")
+    if not np.isfinite(sequence.markers.position[start:stop]).any():
+        raise fault(f"{where}.fit", f"no marker is measured in frames {start} to {stop}", "measured positions")
+
+
+def _check_material(where: str, capture: Capture, box: np.ndarray) -> None:
+    if not capture.parts:
+        return
+    if not any(box_meets_solid(box, part.vertices, part.faces) for part in capture.parts):
+        raise fault(where, "no material of the object lies in it", f"a box [m] that meets {_span(capture)}")
+
+
+def _span(capture: Capture) -> str:
+    """The object's bounding box in words."""
+    bounds = capture.bounds
+    assert bounds is not None
+    low, high = (", ".join(f"{value:.4g}" for value in corner) for corner in bounds)
+    return f"the object, which spans ({low}) to ({high}) m"
+
+
+def _check_hold(where: str, capture: Capture, hold: Hold) -> None:
+    _check_material(f"{where}.box", capture, hold.box)
+    bounds, size = capture.bounds, capture.diagonal
+    if bounds is None or size is None:
+        return
+    if (hold.box[0] <= bounds[0]).all() and (hold.box[1] >= bounds[1]).all():
+        raise fault(f"{where}.box", "holds the whole object", f"some of it to be free: {_span(capture)}")
+    if hold.position is not None:
+        frames = np.arange(len(hold.position))
+        rotation, position = hold.poses(frames, 1.0)
+        centre = np.clip(hold.box.mean(axis=0), bounds[0], bounds[1])
+        far = float(np.abs(rotation @ centre + position - centre).max())
+        if far > max(100 * size, 5.0):
+            raise fault(
+                f"{where}.motion",
+                f"moves the held points {far:.3g} m, {far / size:.0f} times the size of the object",
+                "positions in m (units look off by 1000)",
+            )
+
+
+def _check_markers(where: str, capture: Capture, sequence: Sequence, markers: Markers) -> None:
+    bounds, size = capture.bounds, capture.diagonal
+    if bounds is None or size is None:
+        return
+    if markers.sigma > size:
+        raise fault(f"{where}.sigma", f"is {markers.sigma:g} m, larger than the object", f"far below {size:.3g} m")
+    far = distance_to_box(markers.at, bounds)
+    worst = int(np.argmax(far))
+    if far[worst] > max(0.5 * size, 5e-3):
+        raise fault(
+            f"{where}.at[{worst}]",
+            f"lies {far[worst]:.3g} m from the object",
+            f"places on or near {_span(capture)} (is it in m, in the object frame?)",
+        )
+    # a moving hold may have carried the object elsewhere before the recording began
+    carried = [markers.at]
+    for hold in sequence.held:
+        if hold.position is not None:
+            rotation, position = hold.poses(np.zeros(1), 1.0)
+            carried.append(markers.at @ rotation[0].T + position[0])
+    rest = markers.at_rest(sequence.release)
+    away = np.min([np.linalg.norm(rest - at, axis=1) for at in carried], axis=0)
+    seen = np.isfinite(away)
+    if not seen.any():
+        return
+    worst = int(np.argmax(np.where(seen, away, -1.0)))
+    if away[worst] > 0.5 * size:
+        raise fault(
+            f"{where}.at[{worst}]",
+            f"marker {worst} is measured {away[worst]:.3g} m from there at rest",
+            f"measured positions in m in the object frame, within {0.5 * size:.3g} m of at",
+        )

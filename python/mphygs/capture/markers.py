@@ -1,0 +1,111 @@
+"""Measured 3D points: from .npz in the object frame, or from .c3d brought into it by a rigid fit at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mphygs.capture.c3d import read_c3d
+from mphygs.capture.document import Entry
+from mphygs.capture.errors import fault
+from mphygs.capture.files import file_inside, read_arrays
+from mphygs.capture.rotation import align_rigid
+
+_FIRST_FRAMES = 5  # taken as rest where no release is given
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Marker tracks of one sequence, in the object frame.
+
+    position: (T, M, 3) [m], NaN where not measured; at: (M, 3) [m], the markers at rest; sigma: [m], one
+    standard deviation of the noise per coordinate; names: M labels, or none.
+    """
+
+    position: np.ndarray
+    at: np.ndarray
+    sigma: float
+    names: tuple[str, ...] = ()
+
+    def at_rest(self, release: int | None) -> np.ndarray:
+        """Median position (M, 3) [m] over the resting frames: those before release, or the first few."""
+        return resting_position(self.position, release)
+
+
+def resting_position(position: np.ndarray, release: int | None) -> np.ndarray:
+    """Median over the resting frames of tracks (T, M, 3): (M, 3), NaN for a marker not seen in them."""
+    rest = position[: release or min(_FIRST_FRAMES, len(position))]
+    seen = np.isfinite(rest).any(axis=0)
+    median = np.full(rest.shape[1:], np.nan)
+    median[seen] = np.nanmedian(np.where(seen, rest, 0.0), axis=0)[seen]
+    return median
+
+
+def read_markers(folder: Path, entry: Entry, *, fps: float, frames: int, release: int | None) -> Markers:
+    """The markers that `markers` describes: `file`, `at`, `sigma` and, for a .c3d with more points, `names`."""
+    entry.check_keys(required=("file", "at", "sigma"), optional=("names",))
+    at = entry["at"].array((None, 3))
+    sigma = entry["sigma"].number()
+    if sigma <= 0:
+        raise entry["sigma"].wrong("a standard deviation above zero [m]")
+    names = _read_names(entry, len(at))
+    path = file_inside(folder, entry["file"])
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        position = read_arrays(path, {"position": (None, None, 3)})["position"]
+        if len(position) != frames:
+            raise fault(f"{path}: position", f"has {len(position)} frames", f"{frames}, as the sequence")
+        _check_count(path, position, at)
+    elif suffix == ".c3d":
+        position, labels = read_c3d(path, fps=fps, frames=frames)
+        if names:
+            position = position[:, _columns(entry["names"], names, labels)]
+        _check_count(path, position, at)
+        names = names or labels
+        position = _to_object_frame(path, position, at, release)
+    else:
+        raise entry["file"].wrong("an .npz or a .c3d file")
+    if not np.isfinite(position).any():
+        raise fault(f"{path}: position", "is NaN everywhere", "measured positions")
+    return Markers(position=position, at=at, sigma=sigma, names=names)
+
+
+def _read_names(entry: Entry, count: int) -> tuple[str, ...]:
+    given = entry.get("names")
+    if given is None:
+        return ()
+    names = tuple(element.text() for element in given.elements())
+    if len(names) != count:
+        raise given.fault(f"has {len(names)} names", f"{count}, one for each row of at")
+    for name in names:
+        if names.count(name) > 1:
+            raise given.fault(f'name "{name}" is given twice', "every name once")
+    return names
+
+
+def _columns(entry: Entry, names: tuple[str, ...], labels: tuple[str, ...]) -> list[int]:
+    for name in names:
+        if name not in labels:
+            raise entry.fault(f'no point is labelled "{name}"', f"one of {', '.join(labels)}")
+    return [labels.index(name) for name in names]
+
+
+def _check_count(path: Path, position: np.ndarray, at: np.ndarray) -> None:
+    if position.shape[1] != len(at):
+        raise fault(
+            f"{path}: position", f"has {position.shape[1]} markers", f"{len(at)}, one for each row of at"
+        )
+
+
+def _to_object_frame(path: Path, position: np.ndarray, at: np.ndarray, release: int | None) -> np.ndarray:
+    """Tracks (T, M, 3) moved so that their resting position fits `at` (M, 3) best."""
+    rest = resting_position(position, release)
+    seen = np.isfinite(rest).all(axis=1)
+    try:
+        rotation, translation = align_rigid(rest[seen], at[seen])
+    except ValueError as error:
+        what = f"cannot be aligned to the object at rest ({str(error).split(';')[0]})"
+        raise fault(f"{path}: position", what, "three markers seen at rest, not on one line") from error
+    return position @ rotation.T + translation

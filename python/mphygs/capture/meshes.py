@@ -1,0 +1,164 @@
+"""The parts of an object: closed surface meshes in metres, outward, each bounding a positive volume."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from mphygs.capture.document import Entry
+from mphygs.capture.errors import fault
+from mphygs.capture.files import file_inside
+from mphygs.capture.overlap import winding_number
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One visible part of the object.
+
+    vertices: (V, 3) float64 [m], merged; faces: (F, 3) int64, closed, outward, volume above zero.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume [m^3]."""
+        return _volume(self.vertices, self.faces)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Lower and upper corner, (2, 3) [m]."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+
+def read_part(folder: Path, entry: Entry) -> Part:
+    """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent)."""
+    entry.check_keys(required=("name", "mesh"), optional=("scale",))
+    name = entry["name"].text()
+    scale = 1.0
+    if given := entry.get("scale"):
+        scale = given.number()
+        if scale <= 0:
+            raise given.wrong("a number above zero (file unit -> metre)")
+    vertices, faces = read_mesh(file_inside(folder, entry["mesh"]))
+    return Part(name=name, vertices=vertices * scale, faces=faces)
+
+
+def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [file unit] and faces (F, 3) of a mesh file, closed and outward.
+
+    Raises CaptureError when the file cannot be read, is not finite, or is not a closed surface.
+    """
+    expected = "a closed triangle mesh that trimesh reads (.ply, .stl, .obj, .off, ...)"
+    if not path.suffix:
+        raise fault(str(path), "has no file ending", expected)
+    try:
+        # from memory, so that no reader follows names in the file to other files
+        content = io.BytesIO(path.read_bytes())
+        mesh = trimesh.load_mesh(content, file_type=path.suffix[1:].lower(), process=False)
+        vertices = np.array(mesh.vertices, dtype=np.float64)
+        faces = np.array(mesh.faces, dtype=np.int64)
+    except Exception as error:  # the readers raise whatever a damaged file trips them with
+        reason = str(error) or type(error).__name__
+        raise fault(str(path), f"cannot be read as a mesh, or is truncated ({reason})", expected) from error
+    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or len(faces) == 0:
+        raise fault(str(path), "has no triangles", expected)
+    if not np.isfinite(vertices).all():
+        raise fault(f"{path}: vertex {int(np.argwhere(~np.isfinite(vertices))[0, 0])}", "is not finite", expected)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise fault(str(path), f"a face names vertex {faces.max()} of {len(vertices)}", expected)
+    vertices, faces = _compact(vertices, faces)
+    if not _is_closed(faces):
+        vertices, faces = _merge(vertices, faces)
+    if not _is_closed(faces):
+        faces = _wind(path, vertices, faces)
+    faces = _turn_outward(vertices, faces)
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    if not _volume(vertices, faces) > 1e-9 * size**3:
+        raise fault(str(path), "encloses no volume", expected)
+    return vertices, faces
+
+
+def write_mesh(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Write a binary .ply that keeps vertices (V, 3) as float64; `faces`: (F, 3)."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+        "property double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(faces), dtype=[("count", "u1"), ("index", "<i4", (3,))])
+    rows["count"] = 3
+    rows["index"] = faces
+    path.write_bytes(header.encode("ascii") + vertices.astype("<f8").tobytes() + rows.tobytes())
+
+
+def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Without vertices that no face names and faces that name a vertex twice; the order is kept."""
+    corners = np.sort(faces, axis=1)
+    faces = faces[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
+    used, index = np.unique(faces, return_inverse=True)
+    return vertices[used], index.reshape(-1, 3)
+
+
+def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh with vertices merged that lie within 1e-6 of its size of one another."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    digits = 6 - int(np.floor(np.log10(max(float(mesh.scale), 1e-300))))
+    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=digits)
+    return _compact(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64))
+
+
+def _directed_edges(faces: np.ndarray) -> np.ndarray:
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def _is_closed(faces: np.ndarray) -> bool:
+    """Whether every edge is walked as often one way as the other: no boundary, one winding.
+
+    Edges shared by four faces, as where two voxels touch along one, are allowed.
+    """
+    edges = _directed_edges(faces)
+    _, index = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    return not np.bincount(index.reshape(-1), weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).any()
+
+
+def _wind(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The faces turned to one winding; CaptureError when the surface has a boundary."""
+    edges, count = np.unique(np.sort(_directed_edges(faces), axis=1), axis=0, return_counts=True)
+    open_edges = edges[count % 2 == 1]
+    expected = "a closed surface, every edge shared by two faces"
+    if len(open_edges):
+        at = ", ".join(f"{x:.4g}" for x in vertices[open_edges[0]].mean(axis=0))
+        raise fault(str(path), f"is not closed: {len(open_edges)} open edges, one at ({at})", expected)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    trimesh.repair.fix_winding(mesh)
+    faces = np.array(mesh.faces, dtype=np.int64)
+    if not _is_closed(faces):
+        raise fault(str(path), "has no inside and outside: its faces cannot be wound alike", expected)
+    return faces
+
+
+def _turn_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The faces with every body that encloses material turned outward; cavities stay inward."""
+    if _volume(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    label = trimesh.graph.connected_component_labels(_directed_edges(faces), node_count=len(vertices))[faces[:, 0]]
+    for body in np.unique(label):
+        own = label == body
+        if _volume(vertices, faces[own]) < 0:
+            around = winding_number(vertices[faces[own][0, :1]], vertices, faces[~own])
+            if abs(around[0]) < 0.5:
+                faces = np.where(own[:, None], faces[:, ::-1], faces)
+    return np.ascontiguousarray(faces)
+
+
+def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Enclosed volume by the divergence theorem, about the mesh's own centre to keep digits."""
+    a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)

@@ -1,0 +1,86 @@
+"""What a capture holds: the object at rest, what is known of it, its recorded motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mphygs.capture.holds import Hold, Load
+from mphygs.capture.markers import Markers
+from mphygs.capture.meshes import Part
+
+
+@dataclass(frozen=True)
+class Known:
+    """Quantities measured on their own and not to be fitted; what is absent is unknown.
+
+    density: part name -> [kg/m^3]; poissons_ratio: [1], one for all parts or part name -> ratio; mass: [kg] of
+    the whole object.
+    """
+
+    density: dict[str, float] = field(default_factory=dict)
+    poissons_ratio: float | dict[str, float] | None = None
+    mass: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """One recorded motion. Frame k is at t = k / fps [s]; ranges [a, b) exclude b.
+
+    fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
+    rest until this frame; views: the folder of the measured video.
+    """
+
+    name: str
+    fps: float
+    frames: int
+    fit: tuple[int, int] = (0, 0)
+    predict: tuple[int, int] = (0, 0)
+    held: tuple[Hold, ...] = ()
+    loads: tuple[Load, ...] = ()
+    release: int | None = None
+    markers: Markers | None = None
+    views: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """One object and its recorded motions. gravity: (3,) [m/s^2], in the object frame.
+
+    The object is given by `parts`, or by `gaussians` (a 3DGS .ply), or by `views` (a folder of dense rest
+    views); rest: "stress-free", or "equilibrium" when the shape given sags under gravity already.
+    """
+
+    name: str
+    folder: Path
+    gravity: np.ndarray
+    parts: tuple[Part, ...]
+    rest: str
+    known: Known
+    sequences: tuple[Sequence, ...]
+    gaussians: Path | None = None
+    views: Path | None = None
+
+    def sequence(self, name: str) -> Sequence:
+        """The sequence called `name`; KeyError, naming those there are, when there is none."""
+        for sequence in self.sequences:
+            if sequence.name == name:
+                return sequence
+        names = ", ".join(sequence.name for sequence in self.sequences)
+        raise KeyError(f'capture "{self.name}" has no sequence "{name}"; expected one of {names}')
+
+    @property
+    def bounds(self) -> np.ndarray | None:
+        """Lower and upper corner of the parts, (2, 3) [m]; None where the object is not given as parts."""
+        if not self.parts:
+            return None
+        boxes = np.stack([part.bounds for part in self.parts])
+        return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+    @property
+    def diagonal(self) -> float | None:
+        """Length of the diagonal of `bounds` [m]."""
+        bounds = self.bounds
+        return None if bounds is None else float(np.linalg.norm(bounds[1] - bounds[0]))

@@ -1,0 +1,99 @@
+"""Writing a capture as a folder that reads back equal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mphygs.capture.checks import check_capture
+from mphygs.capture.meshes import write_mesh
+from mphygs.capture.record import Capture, Sequence
+
+FORMAT = "mphygs-capture/1"
+RESTS = ("stress-free", "equilibrium")
+
+
+def save_capture(capture: Capture, folder: str | Path) -> None:
+    """Write `capture` to `folder`: capture.json, meshes as .ply, motions and markers as .npz, views copied.
+
+    capture.json comes last, so that a write that was broken off leaves no capture. Raises CaptureError when
+    the capture contradicts itself.
+    """
+    folder = Path(folder)
+    check_capture(replace(capture, folder=folder))
+    folder.mkdir(parents=True, exist_ok=True)
+    shape: dict[str, object] = {}
+    if capture.parts:
+        shape["parts"] = [{"name": part.name, "mesh": f"{part.name}.ply", "scale": 1.0} for part in capture.parts]
+        for part in capture.parts:
+            write_mesh(folder / f"{part.name}.ply", part.vertices, part.faces)
+    if capture.gaussians is not None:
+        shape["gaussians"] = _copy(capture.gaussians, folder / "gaussians.ply")
+    if capture.views is not None:
+        shape["views"] = _copy(capture.views, folder / "rest_views")
+    known: dict[str, object] = {}
+    if capture.known.density:
+        known["density"] = capture.known.density
+    if capture.known.poissons_ratio is not None:
+        known["poissons_ratio"] = capture.known.poissons_ratio
+    if capture.known.mass is not None:
+        known["mass"] = capture.known.mass
+    document = {
+        "format": FORMAT,
+        "name": capture.name,
+        "gravity": np.asarray(capture.gravity).tolist(),
+        "object": {**shape, "rest": capture.rest, "known": known},
+        "sequences": [_write_sequence(sequence, folder) for sequence in capture.sequences],
+    }
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+    (folder / "capture.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
+    held: list[dict[str, object]] = []
+    for index, hold in enumerate(sequence.held):
+        motion = "fixed"
+        if not hold.is_fixed:
+            motion = f"{sequence.name}_hold{index}.npz"
+            np.savez_compressed(folder / motion, position=hold.position, quaternion=hold.quaternion)
+        held.append({"box": hold.box.tolist(), "motion": motion})
+    document: dict[str, object] = {
+        "name": sequence.name,
+        "fps": sequence.fps,
+        "frames": sequence.frames,
+        "fit": list(sequence.fit),
+        "predict": list(sequence.predict),
+        "held": held,
+    }
+    if sequence.loads:
+        document["loads"] = [
+            {"box": load.box.tolist(), "force": load.force.tolist(), "from": load.start_frame}
+            for load in sequence.loads
+        ]
+    if sequence.release is not None:
+        document["release"] = sequence.release
+    if sequence.markers is not None:
+        markers = sequence.markers
+        file = f"{sequence.name}_markers.npz"
+        np.savez_compressed(folder / file, position=markers.position)
+        document["markers"] = {"file": file, "at": markers.at.tolist(), "sigma": markers.sigma}
+        if markers.names:
+            document["markers"]["names"] = list(markers.names)
+    if sequence.views is not None:
+        document["views"] = _copy(sequence.views, folder / "views" / sequence.name)
+    return document
+
+
+def _copy(source: Path, target: Path) -> str:
+    """Copy a file or folder to `target`, unless it stands there already; its path relative to the capture."""
+    if source.resolve() != target.resolve():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, target, dirs_exist_ok=True)
+        else:
+            shutil.copyfile(source, target)
+    return "/".join(target.parts[-2:]) if target.parent.name == "views" else target.name
