@@ -1,0 +1,103 @@
+#include "arrays.hpp"
+#include "fields.hpp"
+#include "mphygs/transfers/total_lagrangian.hpp"
+
+namespace mphygs_python {
+
+namespace {
+
+using namespace mphygs;
+
+template <class T>
+void bind(py::module_& m, const char* name) {
+    using Model = TotalLagrangian<T>;
+    py::class_<Model, std::shared_ptr<Model>>(m, name)
+        .def(py::init([](const py::dict& geometry, const py::dict& settings) {
+                 return std::make_shared<Model>(to_geometry(geometry), to_settings(settings));
+             }),
+             py::arg("geometry"), py::arg("settings"))
+        .def_property_readonly("node_count", &Model::node_count)
+        .def_property_readonly("node_positions",
+                               [](const Model& self) {
+                                   std::vector<double> p = self.node_positions();
+                                   const auto n = static_cast<py::ssize_t>(self.node_count());
+                                   return to_array(std::move(p), {n, 3});
+                               })
+        .def("node_mass", [](const Model& self, const py::dict& fields) { return to_array(self.node_mass(to_fields<T>(fields)), {static_cast<py::ssize_t>(self.node_count())}); })
+        .def("rest_forces", [](const Model& self, const py::dict& fields) { return to_array(self.rest_forces(to_fields<T>(fields)), {static_cast<py::ssize_t>(self.node_count()), 3}); })
+        .def("weights",
+             [](const Model& self, const Array<double>& points, const Array<std::int32_t>& cell) {
+                 PointWeights w = self.weights(to_vector<double>(points), to_vector<std::int32_t>(cell));
+                 const auto n = static_cast<py::ssize_t>(w.node.size() / 27);
+                 return py::make_tuple(to_array(std::move(w.node), {n, 27}), to_array(std::move(w.value), {n, 27}),
+                                       to_array(std::move(w.gradient), {n, 27, 3}));
+             })
+        .def("largest_rates",
+             [](const Model& self, const py::dict& fields, int iterations) {
+                 const Fields<T> f = to_fields<T>(fields);
+                 py::gil_scoped_release release;
+                 return self.largest_rates(f, iterations);
+             },
+             py::arg("fields"), py::arg("iterations") = 60)
+        .def("simulate",
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress) {
+                 const Fields<T> f = to_fields<T>(fields);
+                 const Schedule s = to_schedule(schedule);
+                 Trajectory<T> t;
+                 {
+                     const Progress p = to_progress(progress);
+                     py::gil_scoped_release release;
+                     t = self.simulate(f, s, p);
+                 }
+                 return trajectory_arrays(std::move(t), self.node_count());
+             },
+             py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none())
+        .def("tangent",
+             [](const Model& self, const py::dict& fields, const py::list& directions, const py::dict& schedule,
+                const py::object& progress) {
+                 const Fields<T> f = to_fields<T>(fields);
+                 const Schedule s = to_schedule(schedule);
+                 std::vector<Fields<T>> d;
+                 for (const auto& item : directions) {
+                     d.push_back(to_fields<T>(item.cast<py::dict>()));
+                 }
+                 std::vector<Trajectory<T>> t;
+                 {
+                     const Progress p = to_progress(progress);
+                     py::gil_scoped_release release;
+                     t = self.tangent(f, d, s, p);
+                 }
+                 py::list out;
+                 for (auto& x : t) {
+                     out.append(trajectory_arrays(std::move(x), self.node_count()));
+                 }
+                 return out;
+             },
+             py::arg("fields"), py::arg("directions"), py::arg("schedule"), py::arg("progress") = py::none())
+        .def("adjoint",
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const Array<T>& displacement_bar,
+                const Array<T>& velocity_bar, const py::object& progress) {
+                 const Fields<T> f = to_fields<T>(fields);
+                 const Schedule s = to_schedule(schedule);
+                 const Trajectory<T> bar{to_vector<T>(displacement_bar), to_vector<T>(velocity_bar)};
+                 Fields<T> g;
+                 long recomputed = 0;
+                 {
+                     const Progress p = to_progress(progress);
+                     py::gil_scoped_release release;
+                     g = self.adjoint(f, s, bar, p, &recomputed);
+                 }
+                 return py::make_tuple(fields_dict(std::move(g)), recomputed);
+             },
+             py::arg("fields"), py::arg("schedule"), py::arg("displacement_bar"), py::arg("velocity_bar"),
+             py::arg("progress") = py::none());
+}
+
+}  // namespace
+
+void bind_total_lagrangian(py::module_& m) {
+    bind<float>(m, "TotalLagrangianFloat32");
+    bind<double>(m, "TotalLagrangianFloat64");
+}
+
+}  // namespace mphygs_python

@@ -1,0 +1,152 @@
+// Dictionaries of numpy arrays <-> Geometry, Settings, Schedule, Fields, Trajectory.
+#pragma once
+
+#include "arrays.hpp"
+#include "mphygs/transfers/total_lagrangian.hpp"
+
+namespace mphygs_python {
+
+/// Every key must be known: a misspelt input is an error, not a silent default.
+inline void reject_unknown(const py::dict& d, std::initializer_list<const char*> known, const char* what) {
+    for (const auto& item : d) {
+        const std::string key = py::str(item.first);
+        bool found = false;
+        for (const char* k : known) {
+            found |= key == k;
+        }
+        if (!found) {
+            throw py::key_error(std::string(what) + " has no entry '" + key + "'");
+        }
+    }
+}
+
+template <class T>
+std::vector<T> entry(const py::dict& d, const char* key) {
+    return d.contains(key) ? to_vector<T>(d[key].template cast<Array<T>>()) : std::vector<T>{};
+}
+
+inline mphygs::Geometry to_geometry(const py::dict& d) {
+    reject_unknown(d,
+                   {"origin", "spacing", "cell", "part", "points", "surface_cell", "surface_points", "surface_area", "place_cell",
+                    "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "part_count"},
+                   "geometry");
+    mphygs::Geometry g;
+    g.origin = d["origin"].cast<std::array<double, 3>>();
+    g.spacing = d["spacing"].cast<std::array<double, 3>>();
+    g.cell = entry<std::int32_t>(d, "cell");
+    g.part = entry<std::int32_t>(d, "part");
+    g.points = entry<double>(d, "points");
+    g.surface_cell = entry<std::int32_t>(d, "surface_cell");
+    g.surface_points = entry<double>(d, "surface_points");
+    g.surface_area = entry<double>(d, "surface_area");
+    g.place_cell = entry<std::int32_t>(d, "place_cell");
+    g.places = entry<double>(d, "places");
+    g.row_begin = entry<std::int32_t>(d, "row_begin");
+    g.row_node = entry<std::int32_t>(d, "row_node");
+    g.row_weight = entry<double>(d, "row_weight");
+    g.row_target = entry<double>(d, "row_target");
+    g.row_hold = entry<std::int32_t>(d, "row_hold");
+    g.hold_count = d.contains("hold_count") ? d["hold_count"].cast<int>() : 0;
+    g.part_count = d.contains("part_count") ? d["part_count"].cast<int>() : 1;
+    return g;
+}
+
+inline mphygs::Settings to_settings(const py::dict& d) {
+    reject_unknown(d, {"law", "active", "threads", "memory_budget", "displacement_limit"}, "settings");
+    mphygs::Settings s;
+    if (d.contains("law")) {
+        const auto law = d["law"].cast<std::string>();
+        if (law == "neo-hookean") {
+            s.law = mphygs::Law::neo_hookean;
+        } else if (law == "fixed-corotated") {
+            s.law = mphygs::Law::fixed_corotated;
+        } else {
+            throw py::value_error("law '" + law + "': expected neo-hookean or fixed-corotated");
+        }
+    }
+    s.active.assign(static_cast<std::size_t>(mphygs::Registry::count), false);
+    if (d.contains("active")) {
+        for (const auto& item : d["active"]) {
+            const auto name = item.cast<std::string>();
+            bool found = false;
+            for (std::size_t i = 0; i < s.active.size(); ++i) {
+                if (name == mphygs::Registry::infos[i]->name) {
+                    s.active[i] = found = true;
+                }
+            }
+            if (!found) {
+                throw py::value_error("effect '" + name + "' is not one of this build's");
+            }
+        }
+    }
+    if (d.contains("threads")) {
+        s.threads = d["threads"].cast<int>();
+    }
+    if (d.contains("memory_budget")) {
+        s.memory_budget = d["memory_budget"].cast<std::size_t>();
+    }
+    if (d.contains("displacement_limit")) {
+        s.displacement_limit = d["displacement_limit"].cast<double>();
+    }
+    return s;
+}
+
+inline mphygs::Schedule to_schedule(const py::dict& d) {
+    reject_unknown(d, {"steps", "dt", "start"}, "schedule");
+    mphygs::Schedule s;
+    s.steps = entry<int>(d, "steps");
+    s.dt = entry<double>(d, "dt");
+    s.start = d.contains("start") ? d["start"].cast<double>() : 0.0;
+    return s;
+}
+
+template <class T>
+mphygs::Fields<T> to_fields(const py::dict& d) {
+    using F = mphygs::Fields<T>;
+    F fields;
+    for (const auto& item : d) {
+        const std::string key = py::str(item.first);
+        bool found = false;
+        for (int i = 0; i < F::count; ++i) {
+            if (key == F::names[static_cast<std::size_t>(i)]) {
+                *fields.all()[static_cast<std::size_t>(i)] = to_vector<T>(item.second.template cast<Array<T>>());
+                found = true;
+            }
+        }
+        if (!found) {
+            throw py::key_error("fields have no entry '" + key + "'");
+        }
+    }
+    return fields;
+}
+
+template <class T>
+py::dict fields_dict(mphygs::Fields<T>&& fields) {
+    py::dict d;
+    for (int i = 0; i < mphygs::Fields<T>::count; ++i) {
+        auto* v = fields.all()[static_cast<std::size_t>(i)];
+        const auto n = static_cast<py::ssize_t>(v->size());
+        d[mphygs::Fields<T>::names[static_cast<std::size_t>(i)]] = to_array(std::move(*v), {n});
+    }
+    return d;
+}
+
+template <class T>
+py::tuple trajectory_arrays(mphygs::Trajectory<T>&& t, std::size_t nodes) {
+    const auto n = static_cast<py::ssize_t>(nodes);
+    const auto frames = static_cast<py::ssize_t>(t.displacement.size()) / (3 * n);
+    return py::make_tuple(to_array(std::move(t.displacement), {frames, n, 3}), to_array(std::move(t.velocity), {frames, n, 3}));
+}
+
+/// Python callable frame -> bool, also polling for Ctrl-C; safe to call without the GIL.
+inline mphygs::Progress to_progress(const py::object& f) {
+    return [&f](int frame) {
+        py::gil_scoped_acquire acquire;
+        if (PyErr_CheckSignals() != 0) {
+            throw py::error_already_set();
+        }
+        return f.is_none() || f(frame).cast<bool>();
+    };
+}
+
+}  // namespace mphygs_python

@@ -1,0 +1,15 @@
+// The compiled module: a list of what it offers.
+#include <pybind11/pybind11.h>
+
+namespace mphygs_python {
+void bind_registry(pybind11::module_& m);
+void bind_total_lagrangian(pybind11::module_& m);
+void bind_equilibrium(pybind11::module_& m);
+}  // namespace mphygs_python
+
+PYBIND11_MODULE(_core, m) {
+    m.doc() = "mphygs core: continuum simulation with exact derivatives.";
+    mphygs_python::bind_registry(m);
+    mphygs_python::bind_total_lagrangian(m);
+    mphygs_python::bind_equilibrium(m);
+}

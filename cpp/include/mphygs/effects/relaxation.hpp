@@ -1,0 +1,44 @@
+// Maxwell branch in parallel with the spring (standard linear solid):
+// Q' + Q / tau = ratio S', S the base law's second Piola-Kirchhoff stress.
+//
+// Exact for S linear within a substep:
+// Q_n+1 = e^(-dt/tau) Q_n + ratio e^(-dt/(2 tau)) (S_n+1 - S_n).
+// Source: Simo & Hughes, Computational Inelasticity, section 10.3.
+#pragma once
+
+#include "mphygs/effect.hpp"
+
+namespace mphygs {
+
+struct Relaxation {
+    static constexpr EffectInfo info{"relaxation", "Maxwell branch: Q' + Q/tau = ratio S'", Site::volume, false, false, 13, 2,
+                                     {{"ratio", "-", 0, 0, 100, 0.1, true}, {"tau", "s", 0.1, 1e-4, 1e4, 0.1, true}}};
+    static constexpr int uniform_count = 2;
+    template <class S>
+    static void uniforms(const S* p, typename ScalarOf<S>::type, typename ScalarOf<S>::type dt, S* q) {
+        const S half = exponential(-(typename ScalarOf<S>::type(0.5) * dt) / p[1]);
+        q[0] = half * half;
+        q[1] = p[0] * half;
+    }
+    /// History: 0..5 Q, 6..11 S before the substep, 12 whether S was ever set. The branch is
+    /// relaxed at the start: the first substep only stores S.
+    template <class S>
+    static void stress(VolumePoint<S>& p, const S* q) {
+        const Mat3<S> s = inverse(p.elastic) * elastic_stress(p.law, p.elastic, p.mu, p.lambda);
+        constexpr int row[6] = {0, 1, 2, 0, 0, 1};
+        constexpr int column[6] = {0, 1, 2, 1, 2, 2};
+        Mat3<S> branch;
+        for (int k = 0; k < 6; ++k) {
+            const S now = s[row[k]][column[k]];
+            const S next = q[0] * p.history[k] + p.history[12] * (q[1] * (now - p.history[6 + k]));
+            p.history_next[k] = next;
+            p.history_next[6 + k] = now;
+            branch[row[k]][column[k]] = next;
+            branch[column[k]][row[k]] = next;
+        }
+        p.history_next[12] = constant<S>(1);
+        p.stress = p.stress + p.deformation * branch;
+    }
+};
+
+}  // namespace mphygs

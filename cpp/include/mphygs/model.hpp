@@ -1,0 +1,105 @@
+// What stays fixed during a simulation, what it is differentiated against, and what comes out.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "mphygs/effect.hpp"
+
+namespace mphygs {
+
+/// An unstable or impossible run; the message names the frame, the part and the cause.
+struct SimulationError : std::runtime_error {
+    using std::runtime_error::runtime_error;
+    int frame = -1;
+    int part = -1;
+};
+
+/// Geometry of the discretised object. Points come in blocks of eight that share one cell.
+struct Geometry {
+    std::array<double, 3> origin{};   // of node (0, 0, 0) [m]
+    std::array<double, 3> spacing{};  // [m]
+    std::vector<std::int32_t> cell;   // (B, 3) knot span of each block
+    std::vector<std::int32_t> part;   // (B,)
+    std::vector<double> points;       // (B, 8, 3) [m]
+    std::vector<std::int32_t> surface_cell;  // (S, 3)
+    std::vector<double> surface_points;      // (S, 8, 3) [m]
+    std::vector<double> surface_area;        // (S, 8) [m^2], 0 pads
+    std::vector<std::int32_t> place_cell;    // (P, 3) knot span of each place of a point or mass effect
+    std::vector<double> places;              // (P, 3) [m]
+    // Holds: rows of the constraint sum_k weight_k u_k = motion of the hold at `target`.
+    std::vector<std::int32_t> row_begin;   // (R + 1,)
+    std::vector<std::int32_t> row_node;    // (W, 3) node index on the grid
+    std::vector<double> row_weight;        // (W,)
+    std::vector<double> row_target;        // (R, 3) [m]
+    std::vector<std::int32_t> row_hold;    // (R,)
+    int hold_count = 0;
+    int part_count = 1;
+
+    std::size_t block_count() const { return part.size(); }
+    std::size_t surface_count() const { return surface_cell.size() / 3; }
+    std::size_t place_count() const { return places.size() / 3; }
+    std::size_t row_count() const { return row_hold.size(); }
+};
+
+/// How it is integrated.
+struct Schedule {
+    std::vector<int> steps;     // (F,) substeps between output frame f and f + 1
+    std::vector<double> dt;     // (F,) substep in that interval [s]
+    double start = 0;           // time of the initial state [s]
+    int total_steps() const {
+        int n = 0;
+        for (int s : steps) {
+            n += s;
+        }
+        return n;
+    }
+    int frame_count() const { return static_cast<int>(steps.size()); }
+};
+
+struct Settings {
+    Law law = Law::neo_hookean;
+    std::vector<bool> active;       // per effect of the registry
+    int threads = 1;
+    std::size_t memory_budget = std::size_t(2) << 30;  // of the adjoint's checkpoints [byte]
+    double displacement_limit = 1e3;  // a larger displacement is an unstable run [m]
+};
+
+/// Everything a simulation may be differentiated against. Empty means: absent (all zero in a
+/// tangent, not wanted in a gradient). N nodes in the order of `TotalLagrangian::nodes`.
+template <class T>
+struct Fields {
+    std::vector<T> mu, lambda;       // (B, 8) [Pa]
+    std::vector<T> stress_volume;    // (B, 8) volume in the stress-free state [m^3]
+    std::vector<T> mass;             // (B, 8) [kg]
+    std::vector<T> deformation0;     // (B, 9, 8) from the stress-free to the reference state; empty: I
+    std::vector<T> effect;           // (parameters of all effects,)
+    std::vector<T> place_mass;       // (P,) [kg]
+    std::vector<T> place_effect;     // (P, parameters of all point effects)
+    std::vector<T> gravity;          // (3,) [m/s^2]
+    std::vector<T> displacement0;    // (N, 3) [m]
+    std::vector<T> velocity0;        // (N, 3) [m/s]
+    std::vector<T> node_force;       // (F, N, 3) known force between frames [N]
+    std::vector<T> pose;             // (H, steps + 1, 12): R (row major) and p of every hold [-, m]
+    // The same names, for loops over all of them.
+    static constexpr int count = 13;
+    std::array<std::vector<T>*, count> all() {
+        return {&mu, &lambda, &stress_volume, &mass, &deformation0, &effect, &place_mass, &place_effect,
+                &gravity, &displacement0, &velocity0, &node_force, &pose};
+    }
+    static constexpr std::array<const char*, count> names = {
+        "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
+        "gravity", "displacement0", "velocity0", "node_force", "pose"};
+};
+
+/// Node states at the output frames (the initial state is frame 0).
+template <class T>
+struct Trajectory {
+    std::vector<T> displacement;  // (F + 1, N, 3) [m]
+    std::vector<T> velocity;      // (F + 1, N, 3) [m/s]
+};
+
+}  // namespace mphygs

@@ -1,0 +1,156 @@
+// Constant weights of a block of eight points that share one cell, and the two loops on them.
+//
+// `gather` sums over the 27 nodes with the eight points in the lanes; `scatter` sums over the
+// eight points with the nodes in the lanes. The three nodes of a row along z are neighbours in
+// every node array, so a block is nine rows; a scattered row is four lanes wide, its last one zero.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+#include "mphygs/kernel.hpp"
+#include "mphygs/small.hpp"
+
+namespace mphygs {
+
+inline constexpr int row_count_27 = 9;
+inline constexpr int node_lanes = 40;  // 9 rows of 4, padded to whole packs
+
+using Rows = std::int32_t[row_count_27];
+
+/// Four numbers: a row of three nodes and one lane of nothing.
+template <class T>
+struct RowOf;
+template <>
+struct RowOf<float> {
+    using type __attribute__((vector_size(16))) = float;
+};
+template <>
+struct RowOf<double> {
+    using type __attribute__((vector_size(32))) = double;
+};
+
+template <class T>
+struct ValueTable {
+    Pack<T> by_node[27];                     // N_a at the eight points
+    alignas(64) T by_point[8][node_lanes];   // N_a of one point, nodes in the lanes
+};
+
+template <class T>
+struct GradientTable {
+    Pack<T> by_node[27][3];                      // dN_a/dx_j at the eight points [1/m]
+    alignas(64) T by_point[8][3][node_lanes];
+};
+
+/// Spline weights of a point given by its distance from the cell's node, in spacings.
+inline void point_weights(const double s[3], const double spacing[3], double value[27], double gradient[27][3]) {
+    const SplineWeights<double> w[3] = {spline_weights(s[0]), spline_weights(s[1]), spline_weights(s[2])};
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            for (int k = 0; k < 3; ++k) {
+                const int a = (i * 3 + j) * 3 + k;
+                value[a] = w[0].value[i] * w[1].value[j] * w[2].value[k];
+                gradient[a][0] = w[0].slope[i] * w[1].value[j] * w[2].value[k] / spacing[0];
+                gradient[a][1] = w[0].value[i] * w[1].slope[j] * w[2].value[k] / spacing[1];
+                gradient[a][2] = w[0].value[i] * w[1].value[j] * w[2].slope[k] / spacing[2];
+            }
+        }
+    }
+}
+
+template <class T>
+inline int node_of(const Rows& rows, int a) {
+    return rows[a / 3] + a % 3;
+}
+
+/// sum_a f_a (dN_a/dx)^T at the eight points. field: 3 arrays of `stride` numbers.
+template <class T>
+inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const Rows& rows, const GradientTable<T>& table) {
+    Mat3<Pack<T>> g;
+    const T* x = field;
+    const T* y = field + stride;
+    const T* z = field + 2 * stride;
+    for (int r = 0; r < row_count_27; ++r) {
+        for (int k = 0; k < 3; ++k) {
+            const int n = rows[r] + k;
+            const Pack<T>* w = table.by_node[r * 3 + k];
+            for (int j = 0; j < 3; ++j) {
+                g.e[0][j] += x[n] * w[j];
+                g.e[1][j] += y[n] * w[j];
+                g.e[2][j] += z[n] * w[j];
+            }
+        }
+    }
+    return g;
+}
+
+template <class T>
+inline Vec3<Pack<T>> gather_value(const T* field, std::size_t stride, const Rows& rows, const ValueTable<T>& table) {
+    Vec3<Pack<T>> g;
+    for (int r = 0; r < row_count_27; ++r) {
+        for (int k = 0; k < 3; ++k) {
+            const int n = rows[r] + k;
+            const Pack<T>& w = table.by_node[r * 3 + k];
+            for (int c = 0; c < 3; ++c) {
+                g.e[c] += field[static_cast<std::size_t>(c) * stride + static_cast<std::size_t>(n)] * w;
+            }
+        }
+    }
+    return g;
+}
+
+template <class T>
+inline void add_rows(const Pack<T> (&sums)[5], T* component, const Rows& rows) {
+    using Row = typename RowOf<T>::type;
+    alignas(64) T flat[node_lanes];
+    std::memcpy(flat, sums, sizeof flat);
+    for (int r = 0; r < row_count_27; ++r) {
+        Row row, added;
+        std::memcpy(&row, component + rows[r], sizeof row);
+        std::memcpy(&added, flat + 4 * r, sizeof added);
+        row += added;
+        std::memcpy(component + rows[r], &row, sizeof row);
+    }
+}
+
+/// f_a += sum over the points of stress (dN_a/dx).
+template <class T>
+inline void scatter_gradient(const Mat3<Pack<T>>& stress, T* field, std::size_t stride, const Rows& rows,
+                             const GradientTable<T>& table) {
+    alignas(64) T p[3][3][8];
+    std::memcpy(p, stress.e, sizeof p);
+    for (int c = 0; c < 3; ++c) {
+        Pack<T> s0{}, s1{}, s2{}, s3{}, s4{};
+        for (int q = 0; q < 8; ++q) {
+            for (int j = 0; j < 3; ++j) {
+                const T* w = table.by_point[q][j];
+                const T value = p[c][j][q];
+                s0 += value * load<T>(w);
+                s1 += value * load<T>(w + 8);
+                s2 += value * load<T>(w + 16);
+                s3 += value * load<T>(w + 24);
+                s4 += value * load<T>(w + 32);
+            }
+        }
+        const Pack<T> sums[5] = {s0, s1, s2, s3, s4};
+        add_rows<T>(sums, field + static_cast<std::size_t>(c) * stride, rows);
+    }
+}
+
+/// f_a += sum over the points of force N_a.
+template <class T>
+inline void scatter_value(const Vec3<Pack<T>>& force, T* field, std::size_t stride, const Rows& rows,
+                          const ValueTable<T>& table) {
+    for (int c = 0; c < 3; ++c) {
+        Pack<T> sums[5] = {};
+        for (int q = 0; q < 8; ++q) {
+            const T value = force.e[c][q];
+            for (int n = 0; n < 5; ++n) {
+                sums[n] += value * load<T>(table.by_point[q] + 8 * n);
+            }
+        }
+        add_rows<T>(sums, field + static_cast<std::size_t>(c) * stride, rows);
+    }
+}
+
+}  // namespace mphygs

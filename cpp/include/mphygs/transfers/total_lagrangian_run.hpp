@@ -1,0 +1,532 @@
+// One run of the total-Lagrangian transfer: forward and tangent step, and below them the adjoint.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "mphygs/constraint.hpp"
+#include "mphygs/parallel.hpp"
+#include "mphygs/transfers/total_lagrangian.hpp"
+
+namespace mphygs {
+
+/// T: float or double; K: number of directions (0: values only).
+template <class T, int K>
+class TotalLagrangianRun {
+  public:
+    using Model = TotalLagrangian<T>;
+    using S = PackScalar<T, K>;
+    using U = PlainScalar<T, K>;
+    static constexpr int lanes = K + 1;
+
+    TotalLagrangianRun(const Model& model, const Inputs<T, K>& inputs, const Schedule& schedule)
+        : model_(model), inputs_(inputs), schedule_(schedule), stride_(model.stride_), size_(3 * model.stride_) {
+        const Geometry& g = model.geometry_;
+        const std::size_t blocks = g.block_count();
+        u_.assign(lanes * size_, T{});
+        v_.assign(lanes * size_, T{});
+        f_.assign(lanes * size_, T{});
+        for (std::size_t n = 0; n < model.node_count(); ++n) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                for (int l = 0; l < lanes; ++l) {
+                    u_[at(l, c, n)] = lane_of(inputs.plain(&Fields<T>::displacement0, 3 * n + c), l);
+                    v_[at(l, c, n)] = lane_of(inputs.plain(&Fields<T>::velocity0, 3 * n + c), l);
+                }
+            }
+        }
+        // Packed per block, in the sorted order, so that a substep reads straight through.
+        prestressed_ = !inputs.primal->deformation0.empty();
+        mu_.resize(blocks);
+        lambda_.resize(blocks);
+        volume_.resize(blocks);
+        mass_points_.resize(model.sites_.body_volume ? blocks : 0);
+        f0_.resize(prestressed_ ? blocks : 0);
+        history_.assign(blocks * static_cast<std::size_t>(model.sites_.history), S{});
+        for (std::size_t b = 0; b < blocks; ++b) {
+            const std::size_t from = 8 * static_cast<std::size_t>(model.order_[b]);
+            mu_[b] = inputs.pack(&Fields<T>::mu, from);
+            lambda_[b] = inputs.pack(&Fields<T>::lambda, from);
+            volume_[b] = inputs.pack(&Fields<T>::stress_volume, from);
+            if (model.sites_.body_volume) {
+                mass_points_[b] = inputs.pack(&Fields<T>::mass, from);
+            }
+            if (prestressed_) {
+                for (int i = 0; i < 9; ++i) {
+                    f0_[b][i / 3][i % 3] = inputs.pack(&Fields<T>::deformation0, 9 * from + 8 * static_cast<std::size_t>(i));
+                }
+            }
+        }
+        surface_area_.resize(model.surface_rows_.size());
+        for (std::size_t b = 0; b < surface_area_.size(); ++b) {
+            for (int q = 0; q < 8; ++q) {
+                surface_area_[b][q] =
+                    static_cast<T>(g.surface_area[8 * static_cast<std::size_t>(model.surface_order_[b]) + static_cast<std::size_t>(q)]);
+            }
+        }
+        prepare_mass();
+        for (const auto& c : model.chunks_) {
+            chunk_force_.emplace_back(static_cast<std::size_t>(lanes) * 3 * static_cast<std::size_t>(c.node_end - c.node_begin), T{});
+        }
+        uniforms_.resize(static_cast<std::size_t>(Registry::total_uniform_count));
+        plain_uniforms_.resize(uniforms_.size());
+        parameters_.resize(static_cast<std::size_t>(Registry::parameter_count));
+        for (std::size_t i = 0; i < parameters_.size(); ++i) {
+            parameters_[i] = inputs.plain(&Fields<T>::effect, i);
+        }
+        for (std::size_t c = 0; c < 3; ++c) {
+            gravity_[static_cast<int>(c)] = inputs.plain(&Fields<T>::gravity, c);
+        }
+        compliance_ = U{};
+        Registry::each([&](auto tag, int i) {
+            using E = typename decltype(tag)::type;
+            if constexpr (E::info.site == Site::hold) {
+                const EffectSlot& s = model_.slots_[static_cast<std::size_t>(i)];
+                if (s.active) {
+                    compliance_ = compliance_ + parameters_[static_cast<std::size_t>(s.parameter)];
+                }
+            }
+        });
+        lambda_rows_.assign(static_cast<std::size_t>(lanes) * 3 * g.row_count(), 0.0);
+    }
+
+    /// Substep `n` of the whole run, in output interval `frame`.
+    void step(int n, int frame, double time, double dt) {
+        refresh_uniforms(time, dt);
+        for_each_index(static_cast<int>(model_.chunks_.size()), model_.settings_.threads,
+                       [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
+        reduce_forces();
+        place_forces(time);
+        known_forces(frame);
+        update_nodes(time, dt);
+        hold(n, dt);
+        const T h = static_cast<T>(dt);
+        for (std::size_t i = 0; i < u_.size(); ++i) {
+            u_[i] += h * v_[i];
+        }
+    }
+
+    /// Leaves M^-1 f (and its derivatives) at the start in the velocity, no hold applied: the
+    /// linearised right-hand side, for the estimate of the largest rates.
+    void accelerations(double dt) {
+        refresh_uniforms(0.0, dt);
+        for (std::size_t c = 0; c < model_.chunks_.size(); ++c) {
+            chunk_forces(c, 0.0, dt);
+        }
+        reduce_forces();
+        place_forces(0.0);
+        std::vector<T> before = v_;
+        update_nodes(0.0, 1.0);
+        for (std::size_t i = 0; i < v_.size(); ++i) {
+            v_[i] -= before[i];
+        }
+    }
+
+    std::size_t at(int lane, std::size_t component, std::size_t node) const {
+        return static_cast<std::size_t>(lane) * size_ + component * stride_ + node;
+    }
+    std::vector<T>& displacement() { return u_; }
+    std::vector<T>& velocity() { return v_; }
+    const std::vector<T>& force() const { return f_; }
+    std::vector<S>& history() { return history_; }
+    const std::vector<double>& reactions() const { return lambda_rows_; }
+    const std::vector<T>& mass() const { return mass_; }
+    const std::vector<T>& inverse_mass() const { return inverse_mass_; }
+    const Constraint& constraint() const { return constraint_[0]; }
+    const std::vector<S>& uniforms() const { return uniforms_; }
+
+    bool finite() const {
+        const T limit = static_cast<T>(model_.settings_.displacement_limit);
+        bool good = true;
+        for (std::size_t i = 0; i < size_; ++i) {
+            good &= std::abs(u_[i]) < limit;  // false for anything that is not a number
+        }
+        for (std::size_t i = size_; i < u_.size(); ++i) {
+            good &= std::isfinite(u_[i]);
+        }
+        return good;
+    }
+
+    /// Copies lane l of the node state to (N, 3) arrays.
+    void output(int l, T* displacement, T* velocity) const {
+        for (std::size_t n = 0; n < model_.node_count(); ++n) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                displacement[3 * n + c] = u_[at(l, c, n)];
+                velocity[3 * n + c] = v_[at(l, c, n)];
+            }
+        }
+    }
+
+  private:
+    template <class TT>
+    friend class TotalLagrangianReverse;
+
+    void refresh_uniforms(double time, double dt) {
+        all_uniforms(model_.slots_, parameters_.data(), static_cast<T>(time), static_cast<T>(dt), plain_uniforms_.data());
+        for (std::size_t i = 0; i < uniforms_.size(); ++i) {
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(uniforms_[i], l) = broadcast<T>(lane_of(plain_uniforms_[i], l));
+            }
+        }
+    }
+
+    void prepare_mass() {
+        std::vector<T> mass(lanes * stride_, T{});
+        for (int l = 0; l < lanes; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            T* m = &mass[static_cast<std::size_t>(l) * stride_];
+            if (fields && !fields->mass.empty()) {
+                for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+                    const Pack<T> point = load<T>(&fields->mass[8 * static_cast<std::size_t>(model_.order_[b])]);
+                    const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+                    for (int a = 0; a < 27; ++a) {
+                        m[model_.rows_[b][static_cast<std::size_t>(a / 3)] + a % 3] += sum_lanes<T>(point * table.by_node[a]);
+                    }
+                }
+            }
+            if (fields && model_.sites_.mass && !fields->place_mass.empty()) {
+                for (std::size_t p = 0; p < model_.places_.size(); ++p) {
+                    for (std::size_t a = 0; a < 27; ++a) {
+                        m[model_.places_[p].node[a]] += fields->place_mass[p] * model_.places_[p].value[a];
+                    }
+                }
+            }
+        }
+        mass_ = mass;
+        inverse_mass_.assign(lanes * stride_, T{});
+        std::vector<double> inverse(stride_, 0.0);
+        for (std::size_t n = 0; n < model_.node_count(); ++n) {
+            if (mass[n] > T{}) {
+                inverse[n] = 1.0 / static_cast<double>(mass[n]);
+                inverse_mass_[n] = static_cast<T>(inverse[n]);
+                for (int l = 1; l < lanes; ++l) {
+                    const std::size_t i = static_cast<std::size_t>(l) * stride_ + n;
+                    inverse_mass_[i] = -inverse_mass_[n] * inverse_mass_[n] * mass[i];
+                }
+            }
+        }
+        constraint_.emplace_back(model_.geometry_, model_.constraint_node_, inverse);
+    }
+
+    void chunk_forces(std::size_t index, double time, double dt) {
+        const auto& chunk = model_.chunks_[index];
+        std::vector<T>& out = chunk_force_[index];
+        const std::size_t span = static_cast<std::size_t>(chunk.node_end - chunk.node_begin);
+        std::fill(out.begin(), out.end(), T{});
+        for (std::size_t b = chunk.block_begin; b < chunk.block_end; ++b) {
+            block_forces(b, time, dt, out.data() - chunk.node_begin, span);
+        }
+        if (model_.sites_.surface) {
+            for (std::size_t b = chunk.surface_begin; b < chunk.surface_end; ++b) {
+                surface_forces(b, time, out.data() - chunk.node_begin, span);
+            }
+        }
+    }
+
+    void block_forces(std::size_t b, double time, double dt, T* out, std::size_t span) {
+        const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+        const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
+        VolumePoint<S> p;
+        load_point(b, p, time, dt);
+        Mat3<S> stress;
+        if (!model_.sites_.volume) {
+            stress = elastic_stress(p.law, p.deformation, p.mu, p.lambda);
+        } else {
+            const std::size_t count = static_cast<std::size_t>(model_.sites_.history);
+            thread_local std::vector<S> before, after;
+            before.assign(history_.begin() + static_cast<std::ptrdiff_t>(b * count),
+                          history_.begin() + static_cast<std::ptrdiff_t>((b + 1) * count));
+            after.resize(count);
+            evaluate_volume(model_.slots_, uniforms_.data(), p, before.data(), after.data());
+            std::copy(after.begin(), after.end(), history_.begin() + static_cast<std::ptrdiff_t>(b * count));
+            stress = p.stress;
+            if (model_.sites_.body_volume) {
+                const Vec3<S> force = mass_points_[b] * p.acceleration;
+                for (int l = 0; l < lanes; ++l) {
+                    Vec3<Pack<T>> part;
+                    for (int c = 0; c < 3; ++c) {
+                        part[c] = lane_of(force[c], l);
+                    }
+                    scatter_value<T>(part, out + static_cast<std::size_t>(l) * 3 * span, span, rows,
+                                     model_.values_[static_cast<std::size_t>(model_.table_[b])]);
+                }
+            }
+        }
+        if (prestressed_) {
+            stress = stress * transpose(f0_[b]);
+        }
+        stress = (-volume_[b]) * stress;
+        for (int l = 0; l < lanes; ++l) {
+            scatter_gradient<T>(get_lane<Pack<T>>(stress, l), out + static_cast<std::size_t>(l) * 3 * span, span, rows, table);
+        }
+    }
+
+    void load_point(std::size_t b, VolumePoint<S>& p, double time, double dt) const {
+        const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+        const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
+        Mat3<S> gradient;
+        for (int l = 0; l < lanes; ++l) {
+            set_lane(gradient, l, gather_gradient<T>(u_.data() + at(l, 0, 0), stride_, rows, table));
+        }
+        p.deformation = prestressed_ ? f0_[b] + gradient * f0_[b] : Mat3<S>::identity() + gradient;
+        if (model_.sites_.rate) {
+            for (int l = 0; l < lanes; ++l) {
+                set_lane(gradient, l, gather_gradient<T>(v_.data() + at(l, 0, 0), stride_, rows, table));
+            }
+            p.rate = prestressed_ ? gradient * f0_[b] : gradient;
+        }
+        p.mu = mu_[b];
+        p.lambda = lambda_[b];
+        p.law = model_.settings_.law;
+        p.time = static_cast<T>(time);
+        p.dt = static_cast<T>(dt);
+    }
+
+    SurfacePoint<S> surface_point(std::size_t b, double time) const {
+        const Rows& rows = *reinterpret_cast<const Rows*>(model_.surface_rows_[b].data());
+        const ValueTable<T>& table = model_.surface_values_[b];
+        SurfacePoint<S> p;
+        const double* rest = &model_.geometry_.surface_points[24 * static_cast<std::size_t>(model_.surface_order_[b])];
+        for (int l = 0; l < lanes; ++l) {
+            const Vec3<Pack<T>> u = gather_value<T>(u_.data() + at(l, 0, 0), stride_, rows, table);
+            const Vec3<Pack<T>> v = gather_value<T>(v_.data() + at(l, 0, 0), stride_, rows, table);
+            for (int c = 0; c < 3; ++c) {
+                lane_of(p.position[c], l) = u[c];
+                lane_of(p.velocity[c], l) = v[c];
+                if (l == 0) {
+                    for (int q = 0; q < 8; ++q) {
+                        lane_of(p.position[c], 0)[q] += static_cast<T>(rest[3 * q + c]);
+                    }
+                }
+            }
+        }
+        p.area = S(surface_area_[b]);
+        p.time = static_cast<T>(time);
+        return p;
+    }
+
+    void surface_forces(std::size_t b, double time, T* out, std::size_t span) const {
+        const Vec3<S> force = evaluate_surface(model_.slots_, uniforms_.data(), surface_point(b, time));
+        const Rows& rows = *reinterpret_cast<const Rows*>(model_.surface_rows_[b].data());
+        for (int l = 0; l < lanes; ++l) {
+            Vec3<Pack<T>> part;
+            for (int c = 0; c < 3; ++c) {
+                part[c] = lane_of(force[c], l);
+            }
+            scatter_value<T>(part, out + static_cast<std::size_t>(l) * 3 * span, span, rows, model_.surface_values_[b]);
+        }
+    }
+
+    void reduce_forces() {
+        std::fill(f_.begin(), f_.end(), T{});
+        for (std::size_t c = 0; c < model_.chunks_.size(); ++c) {
+            const auto& chunk = model_.chunks_[c];
+            const std::size_t span = static_cast<std::size_t>(chunk.node_end - chunk.node_begin);
+            const std::size_t used = std::min(span, stride_ - static_cast<std::size_t>(chunk.node_begin));
+            for (std::size_t k = 0; k < 3 * static_cast<std::size_t>(lanes); ++k) {
+                const T* from = chunk_force_[c].data() + k * span;
+                T* to = f_.data() + k * stride_ + chunk.node_begin;
+                for (std::size_t i = 0; i < used; ++i) {
+                    to[i] += from[i];
+                }
+            }
+        }
+    }
+
+    MaterialPoint<U> material_point(std::size_t p, double time) const {
+        MaterialPoint<U> m;
+        const auto& place = model_.places_[p];
+        for (int c = 0; c < 3; ++c) {
+            const T rest = static_cast<T>(model_.geometry_.places[3 * p + static_cast<std::size_t>(c)]);
+            m.rest[c] = constant<U>(rest);
+            m.position[c] = constant<U>(rest);
+            for (int l = 0; l < lanes; ++l) {
+                for (std::size_t a = 0; a < 27; ++a) {
+                    const std::size_t i = at(l, static_cast<std::size_t>(c), static_cast<std::size_t>(place.node[a]));
+                    lane_of(m.position[c], l) += place.value[a] * u_[i];
+                    lane_of(m.velocity[c], l) += place.value[a] * v_[i];
+                }
+            }
+        }
+        m.time = static_cast<T>(time);
+        return m;
+    }
+
+    std::vector<U> place_parameters(std::size_t p) const {
+        const std::size_t count = static_cast<std::size_t>(model_.sites_.point_parameters);
+        std::vector<U> q(count);
+        for (std::size_t i = 0; i < count; ++i) {
+            q[i] = inputs_.plain(&Fields<T>::place_effect, p * count + i);
+        }
+        return q;
+    }
+
+    void place_forces(double time) {
+        if (!model_.sites_.point) {
+            return;
+        }
+        for (std::size_t p = 0; p < model_.places_.size(); ++p) {
+            const std::vector<U> q = place_parameters(p);
+            const Vec3<U> force = evaluate_point(model_.slots_, q.data(), material_point(p, time));
+            const auto& place = model_.places_[p];
+            for (int l = 0; l < lanes; ++l) {
+                for (int c = 0; c < 3; ++c) {
+                    for (std::size_t a = 0; a < 27; ++a) {
+                        f_[at(l, static_cast<std::size_t>(c), static_cast<std::size_t>(place.node[a]))] +=
+                            place.value[a] * lane_of(force[c], l);
+                    }
+                }
+            }
+        }
+    }
+
+    void known_forces(int frame) {
+        const std::size_t nodes = model_.node_count();
+        for (int l = 0; l < lanes; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            if (!fields || fields->node_force.empty()) {
+                continue;
+            }
+            const T* from = fields->node_force.data() + static_cast<std::size_t>(frame) * 3 * nodes;
+            for (std::size_t n = 0; n < nodes; ++n) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    f_[at(l, c, n)] += from[3 * n + c];
+                }
+            }
+        }
+    }
+
+    /// v* = v + dt (f / m + gravity + body effects), eight nodes at a time.
+    void update_nodes(double time, double dt) {
+        const T h = static_cast<T>(dt);
+        Vec3<S> gravity;
+        for (int c = 0; c < 3; ++c) {
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(gravity[c], l) = broadcast<T>(lane_of(gravity_[c], l));
+            }
+        }
+        for (std::size_t n = 0; n < stride_; n += lane_count) {
+            S inverse_mass{};
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(inverse_mass, l) = load<T>(&inverse_mass_[static_cast<std::size_t>(l) * stride_ + n]);
+            }
+            Vec3<S> acceleration = gravity;
+            if (model_.sites_.body) {
+                acceleration = acceleration + evaluate_body(model_.slots_, uniforms_.data(), body_point(n, time));
+            }
+            for (int c = 0; c < 3; ++c) {
+                S force{};
+                for (int l = 0; l < lanes; ++l) {
+                    lane_of(force, l) = load<T>(&f_[at(l, static_cast<std::size_t>(c), n)]);
+                }
+                const S total = acceleration[c] + force * inverse_mass;
+                for (int l = 0; l < lanes; ++l) {
+                    T* v = &v_[at(l, static_cast<std::size_t>(c), n)];
+                    store<T>(v, load<T>(v) + h * lane_of(total, l));
+                }
+            }
+        }
+        // Nodes without mass (the padding) stay where they are.
+        for (std::size_t n = 0; n < stride_; ++n) {
+            if (inverse_mass_[n] == T{}) {
+                for (int l = 0; l < lanes; ++l) {
+                    for (std::size_t c = 0; c < 3; ++c) {
+                        v_[at(l, c, n)] = T{};
+                    }
+                }
+            }
+        }
+    }
+
+    BodyPoint<S> body_point(std::size_t n, double time) const {
+        BodyPoint<S> p;
+        for (int c = 0; c < 3; ++c) {
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(p.position[c], l) = load<T>(&u_[at(l, static_cast<std::size_t>(c), n)]);
+                lane_of(p.velocity[c], l) = load<T>(&v_[at(l, static_cast<std::size_t>(c), n)]);
+            }
+            for (std::size_t q = 0; q < lane_count && n + q < model_.node_count(); ++q) {
+                lane_of(p.position[c], 0)[static_cast<int>(q)] +=
+                    static_cast<T>(model_.node_positions_[3 * (n + q) + static_cast<std::size_t>(c)]);
+            }
+        }
+        p.time = static_cast<T>(time);
+        return p;
+    }
+
+    /// Pose number i of hold h, as (12,) scalars of lane l.
+    double pose(int l, std::size_t h, int step, std::size_t i) const {
+        const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+        if (!fields || fields->pose.empty()) {
+            return 0.0;
+        }
+        const std::size_t steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
+        return static_cast<double>(fields->pose[(h * steps + static_cast<std::size_t>(step)) * 12 + i]);
+    }
+
+    void hold(int n, double dt) {
+        const std::size_t rows = constraint_[0].row_count();
+        if (rows == 0) {
+            return;
+        }
+        const Geometry& g = model_.geometry_;
+        const double softness = static_cast<double>(lane_of(compliance_, 0)) / (dt * dt);
+        std::vector<double> b(rows), solution(rows), held(rows), sums(static_cast<std::size_t>(g.hold_count));
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (int l = 0; l < lanes; ++l) {
+                T* v = v_.data() + at(l, c, 0);
+                double* lambda = &lambda_rows_[(static_cast<std::size_t>(l) * 3 + c) * rows];
+                if (l > 0) {
+                    // - d(M^-1) C^T lambda
+                    const T* slope = &inverse_mass_[static_cast<std::size_t>(l) * stride_];
+                    constraint_[0].transposed(&lambda_rows_[c * rows], [&](std::int32_t node, double y) {
+                        v[node] -= slope[node] * static_cast<T>(y);
+                    });
+                }
+                constraint_[0].apply(v, b.data());
+                constraint_[0].apply(u_.data() + at(l, c, 0), held.data());
+                for (std::size_t r = 0; r < rows; ++r) {
+                    const std::size_t h = static_cast<std::size_t>(g.row_hold[r]);
+                    double target = pose(l, h, n + 1, 9 + c);
+                    for (std::size_t k = 0; k < 3; ++k) {
+                        target += pose(l, h, n + 1, 3 * c + k) * g.row_target[3 * r + k];
+                    }
+                    if (l == 0) {
+                        target -= g.row_target[3 * r + c];
+                    }
+                    b[r] -= (target - held[r]) / dt;
+                }
+                if (l > 0 && lane_of(compliance_, l) != T{}) {
+                    constraint_[0].sum_per_hold(&lambda_rows_[c * rows], sums.data());
+                    for (std::size_t r = 0; r < rows; ++r) {
+                        b[r] -= static_cast<double>(lane_of(compliance_, l)) / (dt * dt) * sums[static_cast<std::size_t>(g.row_hold[r])];
+                    }
+                }
+                constraint_[0].solve(b.data(), softness, solution.data());
+                constraint_[0].transposed(solution.data(), [&](std::int32_t node, double y) {
+                    v[node] -= inverse_mass_[static_cast<std::size_t>(node)] * static_cast<T>(y);
+                });
+                std::copy(solution.begin(), solution.end(), lambda);
+            }
+        }
+    }
+
+    const Model& model_;
+    Inputs<T, K> inputs_;
+    const Schedule& schedule_;
+    std::size_t stride_, size_;
+    bool prestressed_ = false;
+    std::vector<T> u_, v_, f_, mass_, inverse_mass_;  // lane, component, node
+    std::vector<S> mu_, lambda_, volume_, mass_points_, history_;
+    std::vector<Mat3<S>> f0_;
+    std::vector<Pack<T>> surface_area_;
+    std::vector<std::vector<T>> chunk_force_;
+    std::vector<S> uniforms_;
+    std::vector<U> plain_uniforms_, parameters_;
+    Vec3<U> gravity_;
+    U compliance_{};
+    std::vector<double> lambda_rows_;  // lane, component, row: the impulse of each hold row [N s]
+    std::vector<Constraint> constraint_;  // one, built after the masses are known
+};
+
+}  // namespace mphygs

@@ -1,0 +1,80 @@
+#include "mphygs/constraint.hpp"
+
+#include <Eigen/Dense>
+
+namespace mphygs {
+
+Constraint::Constraint(const Geometry& g, const std::vector<std::int32_t>& node, const std::vector<double>& inverse_mass)
+    : rows_(g.row_count()),
+      holds_(static_cast<std::size_t>(g.hold_count)),
+      begin_(g.row_begin.begin(), g.row_begin.end()),
+      node_(node),
+      hold_(g.row_hold),
+      weight_(g.row_weight) {
+    if (rows_ == 0) {
+        return;
+    }
+    const Eigen::Index n = static_cast<Eigen::Index>(rows_);
+    Eigen::MatrixXd c = Eigen::MatrixXd::Zero(n, static_cast<Eigen::Index>(inverse_mass.size()));
+    for (std::size_t r = 0; r < rows_; ++r) {
+        for (std::size_t w = begin_[r]; w < begin_[r + 1]; ++w) {
+            c(static_cast<Eigen::Index>(r), node_[w]) += weight_[w];
+        }
+    }
+    const Eigen::Map<const Eigen::VectorXd> m(inverse_mass.data(), static_cast<Eigen::Index>(inverse_mass.size()));
+    const Eigen::MatrixXd a = c * m.asDiagonal() * c.transpose();
+    // Rows of two faces that meet can depend on each other: a pseudo-inverse keeps them consistent.
+    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(a);
+    const double cut = 1e-10 * eigen.eigenvalues().maxCoeff();
+    const Eigen::VectorXd inverse_values =
+        eigen.eigenvalues().unaryExpr([cut](double x) { return x > cut ? 1.0 / x : 0.0; });
+    const Eigen::MatrixXd inverse = eigen.eigenvectors() * inverse_values.asDiagonal() * eigen.eigenvectors().transpose();
+    inverse_.assign(inverse.data(), inverse.data() + inverse.size());
+    inverse_ones_.assign(holds_ * rows_, 0.0);
+    hold_gram_.assign(holds_ * holds_, 0.0);
+    for (std::size_t r = 0; r < rows_; ++r) {
+        for (std::size_t s = 0; s < rows_; ++s) {
+            inverse_ones_[static_cast<std::size_t>(hold_[s]) * rows_ + r] += inverse_[r * rows_ + s];
+        }
+    }
+    for (std::size_t h = 0; h < holds_; ++h) {
+        sum_per_hold(&inverse_ones_[h * rows_], &hold_gram_[h * holds_]);
+    }
+}
+
+void Constraint::sum_per_hold(const double* x, double* result) const {
+    for (std::size_t h = 0; h < holds_; ++h) {
+        result[h] = 0;
+    }
+    for (std::size_t r = 0; r < rows_; ++r) {
+        result[hold_[r]] += x[r];
+    }
+}
+
+void Constraint::solve(const double* b, double softness, double* lambda) const {
+    for (std::size_t r = 0; r < rows_; ++r) {
+        double sum = 0;
+        const double* row = &inverse_[r * rows_];
+        for (std::size_t s = 0; s < rows_; ++s) {
+            sum += row[s] * b[s];
+        }
+        lambda[r] = sum;
+    }
+    if (softness == 0.0 || holds_ == 0) {
+        return;
+    }
+    // Woodbury: (A + s U U^T)^-1 b = A^-1 b - A^-1 U (1/s + U^T A^-1 U)^-1 U^T A^-1 b.
+    const Eigen::Index h = static_cast<Eigen::Index>(holds_);
+    Eigen::MatrixXd core = Eigen::Map<const Eigen::MatrixXd>(hold_gram_.data(), h, h);
+    core.diagonal().array() += 1.0 / softness;
+    Eigen::VectorXd sums(h);
+    sum_per_hold(lambda, sums.data());
+    const Eigen::VectorXd y = core.ldlt().solve(sums);
+    for (std::size_t k = 0; k < holds_; ++k) {
+        for (std::size_t r = 0; r < rows_; ++r) {
+            lambda[r] -= inverse_ones_[k * rows_ + r] * y(static_cast<Eigen::Index>(k));
+        }
+    }
+}
+
+}  // namespace mphygs

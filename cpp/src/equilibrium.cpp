@@ -1,0 +1,459 @@
+#include "mphygs/equilibrium.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "mphygs/registry.hpp"
+
+namespace mphygs {
+
+namespace {
+
+using P = Pack<double>;
+
+/// Cauchy stress of the state whose inverse deformation is I + gradient.
+template <class S>
+Mat3<S> cauchy_stress(const TotalLagrangian<double>& model, const Slots& slots, const std::vector<S>& uniforms, int history,
+                      const Mat3<S>& gradient, const S& mu, const S& lambda) {
+    VolumePoint<S> p;
+    p.deformation = inverse(Mat3<S>::identity() + gradient);
+    p.mu = mu;
+    p.lambda = lambda;
+    p.law = model.settings().law;
+    const std::vector<S> before(static_cast<std::size_t>(history), S{});
+    std::vector<S> after(before);
+    evaluate_volume(slots, uniforms.data(), p, before.data(), after.data());
+    const Mat3<S> c = cofactor(p.deformation);
+    const S scale = 1.0 / determinant(p.deformation, c);
+    return scale * (p.stress * transpose(p.deformation));
+}
+
+template <class S, class Value>
+std::vector<S> uniforms_at_rest(const Slots& slots, Value&& parameter) {
+    using U = decltype(parameter(std::size_t{0}));
+    std::vector<U> parameters, plain(static_cast<std::size_t>(Registry::total_uniform_count));
+    for (std::size_t i = 0; i < static_cast<std::size_t>(Registry::parameter_count); ++i) {
+        parameters.push_back(parameter(i));
+    }
+    all_uniforms(slots, parameters.data(), 0.0, 1.0, plain.data());
+    std::vector<S> packed(plain.size());
+    for (std::size_t i = 0; i < plain.size(); ++i) {
+        if constexpr (IsDual<S>::value) {
+            for (int l = 0; l <= IsDual<S>::count; ++l) {
+                lane_of(packed[i], l) = broadcast<double>(lane_of(plain[i], l));
+            }
+        } else {
+            packed[i] = S(broadcast<double>(plain[i]));
+        }
+    }
+    return packed;
+}
+
+}  // namespace
+
+// The tables that the assembly reads; TotalLagrangian keeps them private to its own runs.
+struct Equilibrium::Assembly {
+    const TotalLagrangian<double>& m;
+    std::size_t blocks() const { return m.rows_.size(); }
+    std::size_t caller(std::size_t b) const { return static_cast<std::size_t>(m.order_[b]); }
+    const Rows& rows(std::size_t b) const { return *reinterpret_cast<const Rows*>(m.rows_[b].data()); }
+    const GradientTable<double>& table(std::size_t b) const { return m.gradients_[static_cast<std::size_t>(m.table_[b])]; }
+    const Slots& slots() const { return m.slots_; }
+    int history() const { return m.sites_.history; }
+    const std::vector<std::int32_t>& constraint_node() const { return m.constraint_node_; }
+    Mat3<P> gradient(std::size_t b, const std::vector<double>& w) const {
+        Mat3<P> g;
+        for (int a = 0; a < 27; ++a) {
+            const std::size_t n = 3 * static_cast<std::size_t>(node_of<double>(rows(b), a));
+            for (std::size_t i = 0; i < 3; ++i) {
+                for (int j = 0; j < 3; ++j) {
+                    g.e[i][j] += w[n + i] * table(b).by_node[a][j];
+                }
+            }
+        }
+        return g;
+    }
+};
+
+Equilibrium::Equilibrium(std::shared_ptr<const TotalLagrangian<double>> model) : model_(std::move(model)) {
+    const Geometry& g = model_->geometry();
+    if (g.row_count() == 0) {
+        throw std::invalid_argument("a shape in equilibrium must be held somewhere: this object has no hold");
+    }
+    const Assembly a{*model_};
+    const int n = static_cast<int>(3 * (model_->node_count() + g.row_count()));
+    const int first_row = static_cast<int>(3 * model_->node_count());
+    std::vector<Eigen::Triplet<double>> entries;
+    for (std::size_t b = 0; b < a.blocks(); ++b) {
+        for (int c = 0; c < 81; ++c) {
+            for (int r = 0; r < 81; ++r) {
+                entries.emplace_back(3 * node_of<double>(a.rows(b), r / 3) + r % 3, 3 * node_of<double>(a.rows(b), c / 3) + c % 3, 0.0);
+            }
+        }
+    }
+    for (std::size_t r = 0; r < g.row_count(); ++r) {
+        for (int w = g.row_begin[r]; w < g.row_begin[r + 1]; ++w) {
+            for (int c = 0; c < 3; ++c) {
+                const int row = first_row + 3 * static_cast<int>(r) + c;
+                const int node = 3 * a.constraint_node()[static_cast<std::size_t>(w)] + c;
+                entries.emplace_back(row, node, g.row_weight[static_cast<std::size_t>(w)]);
+                entries.emplace_back(node, row, g.row_weight[static_cast<std::size_t>(w)]);
+            }
+        }
+    }
+    for (int i = first_row; i < n; ++i) {
+        entries.emplace_back(i, i, 0.0);
+    }
+    matrix_.resize(n, n);
+    matrix_.setFromTriplets(entries.begin(), entries.end());
+    position_.reserve(a.blocks() * 81 * 81);
+    for (std::size_t b = 0; b < a.blocks(); ++b) {
+        for (int c = 0; c < 81; ++c) {
+            const int column = 3 * node_of<double>(a.rows(b), c / 3) + c % 3;
+            const int* begin = matrix_.innerIndexPtr() + matrix_.outerIndexPtr()[column];
+            const int* end = matrix_.innerIndexPtr() + matrix_.outerIndexPtr()[column + 1];
+            for (int r = 0; r < 81; ++r) {
+                const int row = 3 * node_of<double>(a.rows(b), r / 3) + r % 3;
+                position_.push_back(static_cast<std::int32_t>(std::lower_bound(begin, end, row) - matrix_.innerIndexPtr()));
+            }
+        }
+    }
+    unknown_ = Eigen::VectorXd::Zero(n);
+    solver_.isSymmetric(true);
+    solver_.setPivotThreshold(0.05);
+}
+
+void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::VectorXd& residual) {
+    const Assembly a{*model_};
+    const Geometry& g = model_->geometry();
+    using D = Dual<P, 9>;
+    const auto value = [&](std::size_t i) { return Dual<double, 9>(fields_.effect[i]); };
+    const std::vector<D> uniforms = uniforms_at_rest<D>(a.slots(), value);
+    const std::vector<P> plain = uniforms_at_rest<P>(a.slots(), [&](std::size_t i) { return fields_.effect[i]; });
+    residual.setZero(unknown_.size());
+    if (matrix) {
+        // The constraint's entries stay; only the blocks' are summed again.
+        for (const std::int32_t k : position_) {
+            matrix_.valuePtr()[k] = 0.0;
+        }
+    }
+    for (std::size_t b = 0; b < a.blocks(); ++b) {
+        const std::size_t from = 8 * a.caller(b);
+        const P volume = load<double>(&volume_[from]);
+        const P mu = load<double>(&fields_.mu[from]), lambda = load<double>(&fields_.lambda[from]);
+        const Mat3<P> gradient = a.gradient(b, w);
+        const GradientTable<double>& table = a.table(b);
+        Mat3<P> sigma;
+        if (!matrix) {
+            sigma = cauchy_stress<P>(*model_, a.slots(), plain, a.history(), gradient, mu, lambda);
+        } else {
+            Mat3<D> seeded;
+            for (int i = 0; i < 9; ++i) {
+                seeded[i / 3][i % 3] = D(gradient[i / 3][i % 3]);
+                seeded[i / 3][i % 3].d[i] = broadcast<double>(1);
+            }
+            const Mat3<D> s = cauchy_stress<D>(*model_, a.slots(), uniforms, a.history(), seeded, D(mu), D(lambda));
+            for (int i = 0; i < 9; ++i) {
+                sigma[i / 3][i % 3] = s[i / 3][i % 3].v;
+            }
+            const std::int32_t* to = &position_[b * 81 * 81];
+            for (int na = 0; na < 27; ++na) {
+                P t[3][3][3];  // i, k, l: sum_j V D_ijkl dN_a/dx_j
+                for (int i = 0; i < 3; ++i) {
+                    for (int k = 0; k < 3; ++k) {
+                        for (int l = 0; l < 3; ++l) {
+                            P sum{};
+                            for (int j = 0; j < 3; ++j) {
+                                sum += s[i][j].d[3 * k + l] * table.by_node[na][j];
+                            }
+                            t[i][k][l] = volume * sum;
+                        }
+                    }
+                }
+                for (int nb = 0; nb < 27; ++nb) {
+                    for (int k = 0; k < 3; ++k) {
+                        for (int i = 0; i < 3; ++i) {
+                            P sum{};
+                            for (int l = 0; l < 3; ++l) {
+                                sum += t[i][k][l] * table.by_node[nb][l];
+                            }
+                            matrix_.valuePtr()[to[(3 * nb + k) * 81 + 3 * na + i]] += sum_lanes<double>(sum);
+                        }
+                    }
+                }
+            }
+        }
+        for (int na = 0; na < 27; ++na) {
+            const int n = 3 * node_of<double>(a.rows(b), na);
+            for (int i = 0; i < 3; ++i) {
+                P sum{};
+                for (int j = 0; j < 3; ++j) {
+                    sum += sigma[i][j] * table.by_node[na][j];
+                }
+                residual[n + i] += sum_lanes<double>(volume * sum);
+            }
+        }
+    }
+    const Eigen::Index first_row = static_cast<Eigen::Index>(3 * model_->node_count());
+    for (Eigen::Index i = 0; i < first_row; ++i) {
+        residual[i] -= load_[static_cast<std::size_t>(i)];
+    }
+    for (std::size_t r = 0; r < g.row_count(); ++r) {
+        for (int k = g.row_begin[r]; k < g.row_begin[r + 1]; ++k) {
+            for (int c = 0; c < 3; ++c) {
+                const Eigen::Index row = first_row + 3 * static_cast<Eigen::Index>(r) + c;
+                const Eigen::Index node = 3 * a.constraint_node()[static_cast<std::size_t>(k)] + c;
+                residual[node] += g.row_weight[static_cast<std::size_t>(k)] * unknown_[row];
+                residual[row] += g.row_weight[static_cast<std::size_t>(k)] * w[static_cast<std::size_t>(node)];
+            }
+        }
+    }
+}
+
+void Equilibrium::fill(Solution& s) const {
+    const Assembly a{*model_};
+    s.map = w_;
+    s.deformation0.resize(72 * a.blocks());
+    s.volume_ratio.resize(8 * a.blocks());
+    for (std::size_t b = 0; b < a.blocks(); ++b) {
+        const Mat3<P> h = Mat3<P>::identity() + a.gradient(b, w_);
+        const Mat3<P> f = inverse(h);
+        for (std::size_t i = 0; i < 9; ++i) {
+            store<double>(&s.deformation0[72 * a.caller(b) + 8 * i], f[static_cast<int>(i / 3)][i % 3]);
+        }
+        store<double>(&s.volume_ratio[8 * a.caller(b)], determinant(h, cofactor(h)));
+    }
+}
+
+Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std::vector<double>& volume,
+                                         const std::vector<double>& load, const std::vector<double>& start, double tolerance,
+                                         int iterations) {
+    const std::size_t nodes = 3 * model_->node_count();
+    const std::size_t points = 8 * model_->geometry().block_count();
+    if (volume.size() != points || fields.mu.size() != points || fields.lambda.size() != points || load.size() != nodes ||
+        (!start.empty() && start.size() != nodes) || fields.effect.size() != static_cast<std::size_t>(Registry::parameter_count)) {
+        throw std::invalid_argument("equilibrium: mu, lambda and volume are (blocks, 8), load and start (nodes, 3)");
+    }
+    fields_ = fields;
+    volume_ = volume;
+    load_ = load;
+    w_ = start.empty() ? std::vector<double>(nodes, 0.0) : start;
+    Solution s;
+    Eigen::VectorXd residual;
+    for (s.iterations = 1; s.iterations <= iterations; ++s.iterations) {
+        assemble(w_, true, residual);
+        if (!analysed_) {
+            solver_.analyzePattern(matrix_);
+            analysed_ = true;
+        }
+        solver_.factorize(matrix_);
+        if (solver_.info() != Eigen::Success) {
+            throw SimulationError("equilibrium: the stiffness matrix is singular; is a part of the object not connected to the hold?");
+        }
+        const Eigen::VectorXd step = solver_.solve(-residual);
+        // A full step may invert a point of a very soft part: halve it until no point is inverted.
+        double length = 1.0;
+        const Assembly a{*model_};
+        for (int half = 0; half < 12; ++half, length *= 0.5) {
+            std::vector<double> trial = w_;
+            for (std::size_t i = 0; i < nodes; ++i) {
+                trial[i] += length * step[static_cast<Eigen::Index>(i)];
+            }
+            bool good = true;
+            for (std::size_t b = 0; b < a.blocks() && good; ++b) {
+                const Mat3<P> h = Mat3<P>::identity() + a.gradient(b, trial);
+                const P j = determinant(h, cofactor(h));
+                for (int q = 0; q < lane_count; ++q) {
+                    good &= j[q] > 0.05;
+                }
+            }
+            if (good) {
+                w_ = trial;
+                break;
+            }
+        }
+        unknown_ += length * step;
+        for (std::size_t i = 0; i < nodes; ++i) {
+            unknown_[static_cast<Eigen::Index>(i)] = w_[i];
+        }
+        s.last_step = step.head(static_cast<Eigen::Index>(nodes)).lpNorm<Eigen::Infinity>();
+        if (!std::isfinite(s.last_step)) {
+            break;
+        }
+        if (length == 1.0 && s.last_step < tolerance) {
+            fill(s);
+            return s;
+        }
+    }
+    throw SimulationError("equilibrium: Newton's method did not converge in " + std::to_string(iterations) +
+                          " steps (last step " + std::to_string(s.last_step) +
+                          " m); the object is too soft to carry its weight in the published shape");
+}
+
+std::vector<Equilibrium::Solution> Equilibrium::tangent(const std::vector<Direction>& directions) const {
+    const Assembly a{*model_};
+    using D = Dual<P, 1>;
+    std::vector<Solution> result;
+    for (const Direction& d : directions) {
+        Eigen::VectorXd right = Eigen::VectorXd::Zero(unknown_.size());
+        for (std::size_t i = 0; i < d.load.size(); ++i) {
+            right[static_cast<Eigen::Index>(i)] += d.load[i];
+        }
+        const auto value = [&](std::size_t i) {
+            Dual<double, 1> x(fields_.effect[i]);
+            x.d[0] = d.fields.effect.empty() ? 0.0 : d.fields.effect[i];
+            return x;
+        };
+        const std::vector<D> uniforms = uniforms_at_rest<D>(a.slots(), value);
+        for (std::size_t b = 0; b < a.blocks(); ++b) {
+            const std::size_t from = 8 * a.caller(b);
+            const Mat3<P> plain = a.gradient(b, w_);
+            Mat3<D> gradient;
+            for (int i = 0; i < 9; ++i) {
+                gradient[i / 3][i % 3] = D(plain[i / 3][i % 3]);
+            }
+            D mu(load<double>(&fields_.mu[from])), lambda(load<double>(&fields_.lambda[from]));
+            if (!d.fields.mu.empty()) {
+                mu.d[0] = load<double>(&d.fields.mu[from]);
+            }
+            if (!d.fields.lambda.empty()) {
+                lambda.d[0] = load<double>(&d.fields.lambda[from]);
+            }
+            const Mat3<D> s = cauchy_stress<D>(*model_, a.slots(), uniforms, a.history(), gradient, mu, lambda);
+            const P volume = load<double>(&volume_[from]);
+            for (int na = 0; na < 27; ++na) {
+                const int n = 3 * node_of<double>(a.rows(b), na);
+                for (int i = 0; i < 3; ++i) {
+                    P sum{};
+                    for (int j = 0; j < 3; ++j) {
+                        sum += s[i][j].d[0] * a.table(b).by_node[na][j];
+                    }
+                    right[n + i] -= sum_lanes<double>(volume * sum);
+                }
+            }
+        }
+        const Eigen::VectorXd dw = solver_.solve(right);
+        Solution r;
+        r.map.assign(dw.data(), dw.data() + 3 * model_->node_count());
+        r.deformation0.resize(72 * a.blocks());
+        r.volume_ratio.resize(8 * a.blocks());
+        for (std::size_t b = 0; b < a.blocks(); ++b) {
+            const Mat3<P> h = Mat3<P>::identity() + a.gradient(b, w_);
+            const Mat3<P> dh = a.gradient(b, r.map);
+            const Mat3<P> f = inverse(h);
+            const Mat3<P> df = f * dh * f;
+            for (std::size_t i = 0; i < 9; ++i) {
+                store<double>(&r.deformation0[72 * a.caller(b) + 8 * i], -df[static_cast<int>(i / 3)][i % 3]);
+            }
+            store<double>(&r.volume_ratio[8 * a.caller(b)], inner(cofactor(h), dh));
+        }
+        result.push_back(std::move(r));
+    }
+    return result;
+}
+
+Equilibrium::Direction Equilibrium::adjoint(const std::vector<double>& deformation0_bar,
+                                            const std::vector<double>& volume_ratio_bar) const {
+    const Assembly a{*model_};
+    using V = Var<P>;
+    Eigen::VectorXd bar = Eigen::VectorXd::Zero(unknown_.size());
+    for (std::size_t b = 0; b < a.blocks(); ++b) {
+        const Mat3<P> h = Mat3<P>::identity() + a.gradient(b, w_);
+        const Mat3<P> f = inverse(h);
+        Mat3<P> f_bar;
+        for (std::size_t i = 0; i < 9; ++i) {
+            f_bar[static_cast<int>(i / 3)][i % 3] = load<double>(&deformation0_bar[72 * a.caller(b) + 8 * i]);
+        }
+        const P ratio_bar = load<double>(&volume_ratio_bar[8 * a.caller(b)]);
+        const Mat3<P> h_bar = ratio_bar * cofactor(h) - transpose(f) * f_bar * transpose(f);
+        for (int na = 0; na < 27; ++na) {
+            const int n = 3 * node_of<double>(a.rows(b), na);
+            for (int i = 0; i < 3; ++i) {
+                P sum{};
+                for (int j = 0; j < 3; ++j) {
+                    sum += h_bar[i][j] * a.table(b).by_node[na][j];
+                }
+                bar[n + i] += sum_lanes<double>(sum);
+            }
+        }
+    }
+    // SparseLU::transpose() is not const in Eigen 3.4; it does not change the factors.
+    auto& solver = const_cast<decltype(solver_)&>(solver_);
+    const Eigen::VectorXd z = solver.transpose().solve(bar);
+    Direction out;
+    out.load.assign(z.data(), z.data() + 3 * model_->node_count());
+    out.fields.mu.assign(fields_.mu.size(), 0.0);
+    out.fields.lambda.assign(fields_.lambda.size(), 0.0);
+    out.fields.effect.assign(fields_.effect.size(), 0.0);
+    std::vector<double> uniform_bar(static_cast<std::size_t>(Registry::total_uniform_count), 0.0);
+    const std::vector<V> constants = uniforms_at_rest<V>(a.slots(), [&](std::size_t i) { return fields_.effect[i]; });
+    Tape<P>& tape = Tape<P>::current();
+    for (std::size_t b = 0; b < a.blocks(); ++b) {
+        const std::size_t from = 8 * a.caller(b);
+        tape.reset();
+        const Mat3<P> plain = a.gradient(b, w_);
+        Mat3<V> gradient;
+        for (int i = 0; i < 9; ++i) {
+            gradient[i / 3][i % 3] = V(plain[i / 3][i % 3]);
+        }
+        std::vector<V> uniforms(constants);
+        Registry::each([&](auto tag, int i) {
+            using E = typename decltype(tag)::type;
+            const EffectSlot& s = a.slots()[static_cast<std::size_t>(i)];
+            if (s.active && E::info.site == Site::volume) {
+                for (int k = 0; k < uniform_count<E>(); ++k) {
+                    V& x = uniforms[static_cast<std::size_t>(s.uniform + k)];
+                    x = V::input(x.v);
+                }
+            }
+        });
+        const V mu = V::input(load<double>(&fields_.mu[from])), lambda = V::input(load<double>(&fields_.lambda[from]));
+        const Mat3<V> s = cauchy_stress<V>(*model_, a.slots(), uniforms, a.history(), gradient, mu, lambda);
+        tape.prepare();
+        const P volume = load<double>(&volume_[from]);
+        for (int i = 0; i < 3; ++i) {
+            for (int j = 0; j < 3; ++j) {
+                P sum{};
+                for (int na = 0; na < 27; ++na) {
+                    sum += z[3 * node_of<double>(a.rows(b), na) + i] * a.table(b).by_node[na][j];
+                }
+                if (s[i][j].i >= 0) {
+                    tape.adjoint(s[i][j].i) += -volume * sum;
+                }
+            }
+        }
+        tape.sweep();
+        store<double>(&out.fields.mu[from], tape.adjoint(mu.i));
+        store<double>(&out.fields.lambda[from], tape.adjoint(lambda.i));
+        for (std::size_t i = 0; i < uniforms.size(); ++i) {
+            if (uniforms[i].i >= 0) {
+                uniform_bar[i] += sum_lanes<double>(tape.adjoint(uniforms[i].i));
+            }
+        }
+    }
+    Registry::each([&](auto tag, int i) {
+        using E = typename decltype(tag)::type;
+        using D = Dual<double, max_effect_parameters>;
+        const EffectSlot& s = a.slots()[static_cast<std::size_t>(i)];
+        if constexpr (uniform_count<E>() > 0 && E::info.site == Site::volume) {
+            if (!s.active) {
+                return;
+            }
+            D parameters[max_effect_parameters], q[uniform_count<E>()];
+            for (int k = 0; k < E::info.parameter_count; ++k) {
+                parameters[k] = D(fields_.effect[static_cast<std::size_t>(s.parameter + k)]);
+                parameters[k].d[k] = 1;
+            }
+            effect_uniforms<E>(parameters, 0.0, 1.0, q);
+            for (int j = 0; j < uniform_count<E>(); ++j) {
+                for (int k = 0; k < E::info.parameter_count; ++k) {
+                    out.fields.effect[static_cast<std::size_t>(s.parameter + k)] +=
+                        uniform_bar[static_cast<std::size_t>(s.uniform + j)] * q[j].d[k];
+                }
+            }
+        }
+    });
+    return out;
+}
+
+}  // namespace mphygs
