@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import ezc3d
 import numpy as np
@@ -25,14 +26,13 @@ def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[
         raise fault(str(path), f"cannot be read, or is truncated ({reason})", "a .c3d file") from error
     points = content["data"]["points"]
     count = points.shape[2]
-    header = content["header"]["points"]
-    declared = int(header["last_frame"]) - int(header["first_frame"]) + 1
+    declared = _declared_frames(path)
     if count < declared:
         raise fault(str(path), f"is truncated: {count} frames of {declared}", "the whole file")
     if count < frames:
         raise fault(f"{path}: POINT", f"has {count} frames", f"at least {frames}, as the sequence")
     group = content["parameters"]["POINT"]
-    rate = float(header["frame_rate"])
+    rate = float(content["header"]["points"]["frame_rate"])
     if abs(rate - fps) > 1e-3 * fps:
         raise fault(f"{path}: POINT:RATE", f"is {rate:g} Hz", f"the fps of the sequence, {fps:g}")
     units = group["UNITS"]["value"] if "UNITS" in group else []
@@ -49,3 +49,17 @@ def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[
         raise fault(f"{path}: POINT", f"is infinite in frame {frame}, point {marker}", "finite positions")
     labels = list(group["LABELS"]["value"]) if "LABELS" in group else []
     return position, tuple(label.strip() for label in labels[: points.shape[1]])
+
+
+def _declared_frames(path: Path) -> int:
+    """How many frames the file's own header promises; ezc3d puts there what it could read instead.
+
+    Words 4 and 5 of the header are the first and the last frame, in the byte order of the processor that
+    the parameter section names (86: big-endian). Recordings of more than 65535 frames
+    promise fewer than they have.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(10)
+        stream.seek(512 * (head[0] - 1) + 3)
+        order: Literal["big", "little"] = "big" if stream.read(1) == bytes([86]) else "little"
+    return int.from_bytes(head[8:10], order) - int.from_bytes(head[6:8], order) + 1

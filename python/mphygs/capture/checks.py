@@ -1,4 +1,4 @@
-"""Sanity of a whole capture: what each value allows on its own is checked where it is read; this is the rest."""
+"""Sanity of a whole capture; what a value allows on its own is checked where it is read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GRAVITY = 300.0  # [m/s^2]; more is another unit than m/s^2
 
 
 def check_capture(capture: Capture) -> None:
-    """Raise CaptureError at the first thing in the capture that contradicts another or cannot be in SI units."""
+    """Raise CaptureError at the first thing that contradicts another or cannot be in SI units."""
     file = str(capture.folder / "capture.json")
     _check_names(f"{file}: object.parts", [part.name for part in capture.parts], dots=False)
     _check_names(f"{file}: sequences", [sequence.name for sequence in capture.sequences], dots=True)
@@ -40,7 +40,11 @@ def _check_names(where: str, names: list[str], *, dots: bool) -> None:
     for index, name in enumerate(names):
         if not re.fullmatch(rf"\w(?:{inner}*\w)?", name):
             marks = '"_", "-", "+"' + (', "."' if dots else "")
-            raise fault(f"{where}[{index}].name", f'is "{name}"', f"letters, digits and, between them, {marks} or spaces")
+            raise fault(
+                f"{where}[{index}].name",
+                f'is "{name}"',
+                f"letters, digits and, between them, {marks} or spaces",
+            )
         if name in names[:index]:
             raise fault(f"{where}[{index}].name", f'"{name}" is given twice', "every name once")
 
@@ -48,7 +52,9 @@ def _check_names(where: str, names: list[str], *, dots: bool) -> None:
 def _check_units(file: str, capture: Capture) -> None:
     strength = float(np.linalg.norm(capture.gravity))
     if strength > GRAVITY:
-        raise fault(f"{file}: gravity", f"is {strength:g} m/s^2 strong", f"at most {GRAVITY:g}, 9.81 on earth")
+        raise fault(
+            f"{file}: gravity", f"is {strength:g} m/s^2 strong", f"at most {GRAVITY:g}, 9.81 on earth"
+        )
     known = capture.known
     for name, density in known.density.items():
         _check_density(f"{file}: object.known.density.{name}", density)
@@ -57,14 +63,16 @@ def _check_units(file: str, capture: Capture) -> None:
     size = capture.diagonal
     assert size is not None
     if not SIZE[0] <= size <= SIZE[1]:
-        raise _wrong_size(f"{file}: object.parts", "the object", size)
+        largest = int(np.argmax([np.ptp(part.bounds, axis=0).max() for part in capture.parts]))
+        raise _wrong_size(f"{file}: object.parts[{largest}].scale", size)
     for index, part in enumerate(capture.parts):
-        part_size = float(np.linalg.norm(part.bounds[1] - part.bounds[0]))
+        part_size = float(np.linalg.norm(np.ptp(part.bounds, axis=0)))
         if part_size < size / 500:
             raise fault(
                 f"{file}: object.parts[{index}].scale",
                 f'part "{part.name}" is {part_size:.3g} m across in an object of {size:.3g} m',
-                f"parts of one unit; if the file is in metres already set scale to {1000:g} times its value",
+                "parts of like size; units look off by 1000: set scale to 1000 times its value here, "
+                "or to 0.001 times its value in the others",
             )
     if known.mass is not None:
         volume = sum(part.volume for part in capture.parts)
@@ -89,12 +97,12 @@ def _check_density(where: str, density: float) -> None:
         raise fault(where, f"is {density:g} kg/m^3", f"{DENSITY[0]:g} to {DENSITY[1]:g} kg/m^3")
 
 
-def _wrong_size(where: str, what: str, size: float) -> CaptureError:
+def _wrong_size(where: str, size: float) -> CaptureError:
     """An object too large or too small, with the factor of 1000 that would bring it to a sensible size."""
     factor = 1e-3 if size > SIZE[1] else 1e3
     fits = SIZE[0] <= size * factor <= SIZE[1]
     hint = f"; its units look off by 1000: set scale to {factor:g} times its value" if fits else ""
-    return fault(where, f"{what} is {size:.3g} m across", f"{SIZE[0]:g} to {SIZE[1]:g} m{hint}")
+    return fault(where, f"the object is {size:.3g} m across", f"{SIZE[0]:g} to {SIZE[1]:g} m{hint}")
 
 
 def _check_measured(where: str, sequence: Sequence) -> None:
@@ -104,7 +112,9 @@ def _check_measured(where: str, sequence: Sequence) -> None:
     if sequence.markers is None:
         raise fault(f"{where}.fit", "nothing is measured in this sequence", "markers or views to fit to")
     if not np.isfinite(sequence.markers.position[start:stop]).any():
-        raise fault(f"{where}.fit", f"no marker is measured in frames {start} to {stop}", "measured positions")
+        raise fault(
+            f"{where}.fit", f"no marker is measured in frames {start} to {stop}", "measured positions"
+        )
 
 
 def _check_material(where: str, capture: Capture, box: np.ndarray) -> None:
@@ -147,7 +157,9 @@ def _check_markers(where: str, capture: Capture, sequence: Sequence, markers: Ma
     if bounds is None or size is None:
         return
     if markers.sigma > size:
-        raise fault(f"{where}.sigma", f"is {markers.sigma:g} m, larger than the object", f"far below {size:.3g} m")
+        raise fault(
+            f"{where}.sigma", f"is {markers.sigma:g} m, larger than the object", f"far below {size:.3g} m"
+        )
     far = distance_to_box(markers.at, bounds)
     worst = int(np.argmax(far))
     if far[worst] > max(0.5 * size, 5e-3):
@@ -155,6 +167,13 @@ def _check_markers(where: str, capture: Capture, sequence: Sequence, markers: Ma
             f"{where}.at[{worst}]",
             f"lies {far[worst]:.3g} m from the object",
             f"places on or near {_span(capture)} (is it in m, in the object frame?)",
+        )
+    spread = float(np.linalg.norm(np.ptp(markers.at, axis=0)))
+    if len(markers.at) > 1 and spread < size / 500:
+        raise fault(
+            f"{where}.at",
+            f"markers spread over {spread:.3g} m of an object of {size:.3g} m",
+            "markers [m] over the object (units look off by 1000: is the scale of the parts right?)",
         )
     # a moving hold may have carried the object elsewhere before the recording began
     carried = [markers.at]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class CaptureError(ValueError):
-    """A capture folder that cannot be used as it stands. The message is one line, whatever it was made from."""
+    """A capture folder that cannot be used as it stands. The message is always one line."""
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))

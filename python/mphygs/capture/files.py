@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.document import Entry, written
-from mphygs.capture.errors import fault
+from mphygs.capture.errors import CaptureError, fault
 
 
 def path_inside(folder: Path, entry: Entry) -> Path:
@@ -56,22 +56,23 @@ def read_arrays(path: Path, shapes: dict[str, tuple[int | None, ...]]) -> dict[s
     """
     names = ", ".join(f'"{name}" {written(shape, "T")}' for name, shape in shapes.items())
     expected = f"an .npz with {names}"
-    arrays: dict[str, np.ndarray] = {}
     try:
-        archive = np.load(path, allow_pickle=False)
+        # opened here, because numpy leaves a file open that it fails to read
+        with path.open("rb") as stream:
+            archive = np.load(stream, allow_pickle=False)
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise fault(str(path), "is a single array", expected)
+            for name in archive.files:
+                if name not in shapes:
+                    raise fault(f"{path}: {name}", "unknown array", expected)
+            for name in shapes:
+                if name not in archive.files:
+                    raise fault(str(path), f'array "{name}" is missing', expected)
+            return {name: _read_array(archive, path, name, shape) for name, shape in shapes.items()}
+    except CaptureError:
+        raise
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise fault(str(path), "is not an .npz file, or is truncated", expected) from error
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise fault(str(path), "is a single array", expected)
-    with archive:
-        for name in archive.files:
-            if name not in shapes:
-                raise fault(f"{path}: {name}", "unknown array", expected)
-        for name, shape in shapes.items():
-            if name not in archive.files:
-                raise fault(str(path), f'array "{name}" is missing', expected)
-            arrays[name] = _read_array(archive, path, name, shape)
-    return arrays
 
 
 def _read_array(
@@ -82,7 +83,8 @@ def _read_array(
     try:
         array = archive[name]
     except ValueError as error:
-        what = "is truncated or holds Python objects, which are not read"
+        pickled = "allow_pickle" in str(error)
+        what = "holds Python objects, which are not read" if pickled else "is truncated or damaged"
         raise fault(where, what, expected) from error
     except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise fault(where, "is truncated or damaged", expected) from error

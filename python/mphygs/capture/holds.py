@@ -18,8 +18,8 @@ from mphygs.capture.rotation import matrix_from_quaternion, sign_continuous
 class Hold:
     """Material points in `box` at rest follow a rigid motion: X goes to R X + p.
 
-    box: (2, 3) [m]; position: (T, 3) [m] and quaternion: (T, 4) (w, x, y, z), one pose a frame relative to rest
-    and about the origin. Both are None for points that are fixed.
+    box: (2, 3) [m]; position: (T, 3) [m] and quaternion: (T, 4) (w, x, y, z), one pose a frame relative to
+    rest and about the origin. Both are None for points that are fixed.
     """
 
     box: np.ndarray

@@ -44,7 +44,7 @@ def resting_position(position: np.ndarray, release: int | None) -> np.ndarray:
 
 
 def read_markers(folder: Path, entry: Entry, *, fps: float, frames: int, release: int | None) -> Markers:
-    """The markers that `markers` describes: `file`, `at`, `sigma` and, for a .c3d with more points, `names`."""
+    """The markers that `markers` describes; its `names` choose among the points of a .c3d."""
     entry.check_keys(required=("file", "at", "sigma"), optional=("names",))
     at = entry["at"].array((None, 3))
     sigma = entry["sigma"].number()

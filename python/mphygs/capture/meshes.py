@@ -70,7 +70,9 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or len(faces) == 0:
         raise fault(str(path), "has no triangles", expected)
     if not np.isfinite(vertices).all():
-        raise fault(f"{path}: vertex {int(np.argwhere(~np.isfinite(vertices))[0, 0])}", "is not finite", expected)
+        raise fault(
+            f"{path}: vertex {int(np.argwhere(~np.isfinite(vertices))[0, 0])}", "is not finite", expected
+        )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise fault(str(path), f"a face names vertex {faces.max()} of {len(vertices)}", expected)
     vertices, faces = _compact(vertices, faces)
@@ -148,7 +150,9 @@ def _turn_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The faces with every body that encloses material turned outward; cavities stay inward."""
     if _volume(vertices, faces) < 0:
         faces = faces[:, ::-1]
-    label = trimesh.graph.connected_component_labels(_directed_edges(faces), node_count=len(vertices))[faces[:, 0]]
+    label = trimesh.graph.connected_component_labels(_directed_edges(faces), node_count=len(vertices))[
+        faces[:, 0]
+    ]
     for body in np.unique(label):
         own = label == body
         if _volume(vertices, faces[own]) < 0:

@@ -16,8 +16,8 @@ from mphygs.capture.meshes import Part
 class Known:
     """Quantities measured on their own and not to be fitted; what is absent is unknown.
 
-    density: part name -> [kg/m^3]; poissons_ratio: [1], one for all parts or part name -> ratio; mass: [kg] of
-    the whole object.
+    density: part name -> [kg/m^3]; poissons_ratio: [1], one for all parts or part name -> ratio; mass: [kg]
+    of the whole object.
     """
 
     density: dict[str, float] = field(default_factory=dict)

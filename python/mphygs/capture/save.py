@@ -28,7 +28,9 @@ def save_capture(capture: Capture, folder: str | Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     shape: dict[str, object] = {}
     if capture.parts:
-        shape["parts"] = [{"name": part.name, "mesh": f"{part.name}.ply", "scale": 1.0} for part in capture.parts]
+        shape["parts"] = [
+            {"name": part.name, "mesh": f"{part.name}.ply", "scale": 1.0} for part in capture.parts
+        ]
         for part in capture.parts:
             write_mesh(folder / f"{part.name}.ply", part.vertices, part.faces)
     if capture.gaussians is not None:

@@ -1,0 +1,166 @@
+"""Part meshes: closed, outward, in metres, or refused with one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from mphygs.capture.document import Entry
+from mphygs.capture.errors import CaptureError
+from mphygs.capture.meshes import Part, read_mesh, read_part, write_mesh
+
+
+def cube(centre: float = 0.0, size: float = 1.0) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(extents=(size, size, size))
+    mesh.apply_translation((centre, 0, 0))
+    return mesh
+
+
+def stored(tmp_path: Path, mesh: trimesh.Trimesh, name: str = "m.ply") -> Path:
+    path = tmp_path / name
+    write_mesh(path, np.array(mesh.vertices), np.array(mesh.faces))
+    return path
+
+
+def signed_volume(path: Path) -> float:
+    vertices, faces = read_mesh(path)
+    return Part("m", vertices, faces).volume
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(CaptureError) as caught:
+        read_mesh(path)
+    line = str(caught.value)
+    assert line.startswith(str(path)) and "\n" not in line and "expected a closed" in line
+    return line
+
+
+@pytest.mark.parametrize("ending", ["ply", "stl", "obj", "off", "glb"])
+def test_formats_give_the_same_merged_solid(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"m.{ending}"
+    trimesh.creation.icosphere(subdivisions=2, radius=0.03).export(path)
+    vertices, faces = read_mesh(path)
+    assert vertices.shape == (162, 3) and faces.shape == (320, 3)
+    assert vertices.dtype == np.float64 and faces.dtype == np.int64
+    assert np.isclose(Part("m", vertices, faces).volume, 4 / 3 * np.pi * 0.03**3, rtol=0.06)
+
+
+def test_written_mesh_reads_back_bit_for_bit(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1 / 3)
+    vertices, faces = read_mesh(stored(tmp_path, ball))
+    assert np.array_equal(vertices, ball.vertices) and np.array_equal(faces, ball.faces)
+
+
+def test_inward_surfaces_are_turned_outward(tmp_path: Path) -> None:
+    mesh = cube()
+    mesh.invert()
+    assert np.isclose(signed_volume(stored(tmp_path, mesh)), 1.0)
+
+
+def test_one_inward_body_of_two_is_turned_and_a_cavity_is_kept(tmp_path: Path) -> None:
+    inward = cube(5.0, 0.5)
+    inward.invert()
+    assert np.isclose(signed_volume(stored(tmp_path, trimesh.util.concatenate([cube(), inward]))), 1.125)
+    cavity = cube(0.0, 0.5)
+    cavity.invert()
+    assert np.isclose(signed_volume(stored(tmp_path, trimesh.util.concatenate([cube(), cavity]))), 0.875)
+
+
+def test_mixed_winding_is_repaired(tmp_path: Path) -> None:
+    mesh = cube()
+    mesh.faces[3] = mesh.faces[3][::-1]
+    assert np.isclose(signed_volume(stored(tmp_path, mesh)), 1.0)
+
+
+def test_voxels_that_touch_along_an_edge_are_closed(tmp_path: Path) -> None:
+    other = cube()
+    other.apply_translation((1, 1, 0))
+    both = trimesh.util.concatenate([cube(), other])
+    both.merge_vertices()
+    assert len(both.vertices) == 14 and not both.is_watertight
+    assert np.isclose(signed_volume(stored(tmp_path, both)), 2.0)
+
+
+def test_unused_vertices_and_degenerate_faces_are_dropped(tmp_path: Path) -> None:
+    mesh = cube()
+    faces = np.concatenate([mesh.faces, [[0, 0, 1]]])
+    path = tmp_path / "m.ply"
+    write_mesh(path, np.concatenate([mesh.vertices, [[9.0, 9, 9]]]), faces)
+    vertices, faces = read_mesh(path)
+    assert vertices.shape == (8, 3) and faces.shape == (12, 3)
+
+
+def test_open_surface_says_where(tmp_path: Path) -> None:
+    mesh = cube()
+    mesh.update_faces(np.arange(12) > 0)
+    assert "is not closed: 3 open edges, one at (" in complaint(stored(tmp_path, mesh))
+
+
+def test_flat_surface_encloses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "m.ply"
+    write_mesh(path, np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 1]]))
+    assert "encloses no volume" in complaint(path)
+
+
+def test_moebius_band_sealed_to_itself_has_no_inside(tmp_path: Path) -> None:
+    # the projective plane of six vertices: every edge has two faces, no winding is possible
+    faces = np.array(
+        [
+            [0, 1, 2],
+            [0, 2, 3],
+            [0, 3, 4],
+            [0, 4, 5],
+            [0, 5, 1],
+            [1, 2, 4],
+            [2, 3, 5],
+            [3, 4, 1],
+            [4, 5, 2],
+            [5, 1, 3],
+        ]
+    )
+    path = tmp_path / "m.ply"
+    write_mesh(path, np.random.default_rng(0).standard_normal((6, 3)), faces)
+    assert "no inside and outside" in complaint(path)
+
+
+def test_damaged_files(tmp_path: Path) -> None:
+    path = stored(tmp_path, cube())
+    whole = path.read_bytes()
+    for size in (0, 40, len(whole) // 2, len(whole) - 5):
+        path.write_bytes(whole[:size])
+        assert "truncated" in complaint(path)
+    vertices = np.array(cube().vertices)
+    vertices[5, 1] = np.nan
+    write_mesh(path, vertices, np.array(cube().faces))
+    assert "vertex 5: is not finite" in complaint(path)
+    write_mesh(path, vertices[:3], np.array(cube().faces))
+    assert "expected" in complaint(path)
+    plain = tmp_path / "mesh"
+    plain.write_bytes(whole)
+    assert "has no file ending" in complaint(plain)
+    odd = tmp_path / "mesh.xyzzy"
+    odd.write_bytes(whole)
+    assert "cannot be read as a mesh" in complaint(odd)
+
+
+def test_points_without_faces(tmp_path: Path) -> None:
+    path = tmp_path / "m.ply"
+    trimesh.PointCloud(np.random.default_rng(0).standard_normal((9, 3))).export(path)
+    complaint(path)
+
+
+def test_read_part_scales_to_metres(tmp_path: Path) -> None:
+    stored(tmp_path, cube(size=20.0))
+    part = read_part(tmp_path, Entry({"name": "p", "mesh": "m.ply", "scale": 1e-3}, "f", "part"))
+    assert part.name == "p" and np.isclose(part.volume, 8e-6)
+    assert np.allclose(part.bounds, [[-0.01] * 3, [0.01] * 3])
+
+
+@pytest.mark.parametrize("scale", [0, -1.0])
+def test_read_part_refuses_a_scale_of_zero(tmp_path: Path, scale: float) -> None:
+    stored(tmp_path, cube())
+    with pytest.raises(CaptureError, match=r"f: part.scale: is .*; expected a number above zero"):
+        read_part(tmp_path, Entry({"name": "p", "mesh": "m.ply", "scale": scale}, "f", "part"))
