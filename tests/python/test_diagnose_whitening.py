@@ -1,5 +1,7 @@
 """Whitening against dense covariances, and the noise learnt from footage at rest."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -9,14 +11,16 @@ from mphygs.diagnose.autoregression import Autoregression, GapWhitener
 from mphygs.diagnose.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
 
 
-def correlated_noise(generator, coefficient, frames, shape):
+def correlated_noise(
+    generator: np.random.Generator, coefficient: float, frames: int, shape: tuple[int, ...]
+) -> np.ndarray:
     noise = generator.normal(size=(frames, *shape))
     for t in range(1, frames):
         noise[t] = coefficient * noise[t - 1] + np.sqrt(1.0 - coefficient**2) * noise[t]
     return noise
 
 
-def mixed_model():
+def mixed_model() -> NoiseModel:
     return NoiseModel(
         sigma=np.array([1.0, 1.0, 2.0, 0.5]),
         correlated_share=np.array([1.0, 0.0, 0.5, 0.7]),
@@ -27,7 +31,7 @@ def mixed_model():
     )
 
 
-def dense_covariance(noise, whitener):
+def dense_covariance(noise: NoiseModel, whitener: Whitener) -> np.ndarray:
     frame, marker, coordinate = whitener.frame, whitener.marker, whitener.coordinate
     frames = whitener.observed.shape[0]
     lag = toeplitz(noise.correlation.autocorrelation(frames))[np.ix_(frame, frame)]
@@ -39,7 +43,7 @@ def dense_covariance(noise, whitener):
     return same_coordinate * (own * (marker[:, None] == marker) + common)
 
 
-def test_partial_autocorrelations_give_a_stationary_process_with_those_partials():
+def test_partial_autocorrelations_give_a_stationary_process_with_those_partials() -> None:
     process = Autoregression.from_partial([0.9, -0.5, 0.3])
     assert process.coefficients[-1] == pytest.approx(0.3)
     values = process.autocorrelation(200)
@@ -51,7 +55,7 @@ def test_partial_autocorrelations_give_a_stationary_process_with_those_partials(
         Autoregression((1.2,))
 
 
-def test_gap_whitener_is_the_inverse_cholesky_factor_of_the_observed_covariance():
+def test_gap_whitener_is_the_inverse_cholesky_factor_of_the_observed_covariance() -> None:
     generator = np.random.default_rng(0)
     process = Autoregression((0.5, 0.3, -0.2))
     observed = generator.random((40, 3)) > 0.3
@@ -73,7 +77,7 @@ def test_gap_whitener_is_the_inverse_cholesky_factor_of_the_observed_covariance(
     assert (whitened * other).sum() == pytest.approx((array * whitener.whiten_transposed(other)).sum())
 
 
-def test_whitener_with_gaps_unequal_markers_and_common_jitter_inverts_the_dense_covariance():
+def test_whitener_with_gaps_unequal_markers_and_common_jitter_inverts_the_dense_covariance() -> None:
     noise = mixed_model()
     observed = np.random.default_rng(1).random((25, 4)) > 0.25
     observed[5] = False
@@ -89,7 +93,7 @@ def test_whitener_with_gaps_unequal_markers_and_common_jitter_inverts_the_dense_
     np.testing.assert_allclose(noise.whiten(unit[..., 3], observed), matrix[:, 3], atol=1e-13)
 
 
-def test_stated_sigma_alone_is_white():
+def test_stated_sigma_alone_is_white() -> None:
     noise = noise_from_rest(None, 2e-4)
     array = np.random.default_rng(2).normal(size=(7, 3, 3))
     observed = np.ones((7, 3), bool)
@@ -98,7 +102,7 @@ def test_stated_sigma_alone_is_white():
     assert short.correlation.order == 0 and "too few" in short.source
 
 
-def test_white_rest_is_called_white_and_short_correlated_rest_is_recovered_without_bias():
+def test_white_rest_is_called_white_and_short_correlated_rest_is_recovered_without_bias() -> None:
     generator = np.random.default_rng(3)
     white_orders = [
         noise_from_rest(generator.normal(size=(40, 6, 3)), None).correlation.order for _ in range(15)
@@ -114,7 +118,7 @@ def test_white_rest_is_called_white_and_short_correlated_rest_is_recovered_witho
     assert np.mean(sigmas) == pytest.approx(1.0, abs=0.08)
 
 
-def test_scale_at_rest_raises_the_stated_sigma_but_does_not_lower_it():
+def test_scale_at_rest_raises_the_stated_sigma_but_does_not_lower_it() -> None:
     generator = np.random.default_rng(4)
     rest = correlated_noise(generator, 0.7, 60, (5, 3)) * np.array([1.0, 1.0, 6.0, 1.0, 0.2])[:, None] * 1e-4
     rest[10:15, 1] = np.nan
@@ -126,7 +130,7 @@ def test_scale_at_rest_raises_the_stated_sigma_but_does_not_lower_it():
     assert noise_from_rest(rest, None).sigma[4] == pytest.approx(0.2e-4, rel=0.3)
 
 
-def test_common_jitter_is_found_when_there_and_only_then():
+def test_common_jitter_is_found_when_there_and_only_then() -> None:
     generator = np.random.default_rng(5)
     false_alarms = sum(
         noise_from_rest(generator.normal(size=(40, 8, 3)), 1.0).common_sigma.any() for _ in range(20)
@@ -141,7 +145,7 @@ def test_common_jitter_is_found_when_there_and_only_then():
     assert (whitened**2).sum() == pytest.approx(whitened.size, rel=0.06)
 
 
-def test_white_treatment_of_correlated_noise_raises_false_alarms_and_whitening_does_not():
+def test_white_treatment_of_correlated_noise_raises_false_alarms_and_whitening_does_not() -> None:
     """The toy case of the method: slow candidates on AR(1) noise, tested one at a time at 5 %."""
     generator = np.random.default_rng(6)
     frames, markers = 60, 4
@@ -166,7 +170,7 @@ def test_white_treatment_of_correlated_noise_raises_false_alarms_and_whitening_d
     assert alarms["whitened"] < 0.1 * 3 * draws
 
 
-def test_bad_input_is_named():
+def test_bad_input_is_named() -> None:
     noise = NoiseModel.white(1.0, "test")
     array = np.zeros((4, 2, 3))
     array[2, 1, 0] = np.nan

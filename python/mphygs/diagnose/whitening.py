@@ -99,7 +99,7 @@ class Whitener:
         return len(self.frame)
 
     def whiten(self, array: Array) -> Array:
-        """(T, M, C, ...) [m, or m per parameter] -> (N, ...) of unit variance; NaN may stand where not observed."""
+        """(T, M, C, ...) [m, or m per parameter] -> (N, ...) of unit variance; NaN fine where unobserved."""
         array = np.asarray(array, dtype=float)
         expected = (*self.observed.shape, self.coordinates)
         if array.shape[:3] != expected:
