@@ -122,6 +122,16 @@ def test_c3d_that_sees_too_few_markers_at_rest(tmp_path: Path) -> None:
     assert "m.c3d: position: cannot be aligned" in line and "three markers seen at rest" in line
 
 
+def test_c3d_point_of_negative_residual_was_not_seen(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    use_c3d(example, example.tracks)
+    content = (tmp_path / "m.c3d").read_bytes()
+    first = content.index(example.tracks[0, 0].astype("<f4").tobytes()) + 12
+    (tmp_path / "m.c3d").write_bytes(content[:first] + np.float32(-1).tobytes() + content[first + 4 :])
+    missing = np.isnan(markers(example).position).all(axis=2)
+    assert np.argwhere(missing).tolist() == [[0, 0], [4, 1]]
+
+
 def test_damaged_c3d(tmp_path: Path) -> None:
     example = Example(tmp_path)
     use_c3d(example, np.tile(example.tracks, (20, 1, 1)))

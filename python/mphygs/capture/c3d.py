@@ -40,9 +40,7 @@ def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[
     if unit not in _METRES:
         raise fault(f"{path}: POINT:UNITS", f'is "{unit}"', f"one of {', '.join(_METRES)}")
     position = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1).astype(np.float64) * _METRES[unit]
-    # a negative residual marks a point that was not seen
-    unseen = content["data"]["meta_points"]["residuals"][0].T < 0
-    position[unseen] = np.nan
+    # points of negative residual, which were not seen, come from ezc3d as NaN
     position = position[:frames]
     if np.isinf(position).any():
         frame, marker, _ = (int(i) for i in np.argwhere(np.isinf(position))[0])
