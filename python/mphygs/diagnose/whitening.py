@@ -34,6 +34,7 @@ class NoiseModel:
     common_sigma: () or (C,) [m] jitter shared by all markers of a frame, per coordinate; 0 without.
     common_correlation: its autoregression.
     source: where all this comes from, in words.
+    scale_degrees: degrees of freedom behind the scale, infinite when it was stated.
     """
 
     sigma: Array
@@ -42,6 +43,7 @@ class NoiseModel:
     correlation: Autoregression
     common_sigma: Array
     common_correlation: Autoregression
+    scale_degrees: float = np.inf
 
     def __post_init__(self) -> None:
         if not np.all(np.isfinite(self.sigma)) or np.any(np.asarray(self.sigma) <= 0.0):
@@ -186,7 +188,7 @@ def noise_from_rest(rest: Array | None, sigma: float | None, *, what: str = "mar
     common = fit_common(series, observed, fit)
     if common is not None:
         fit = fit_rest(without_common(series, observed), observed, maximum_order=order)
-    variance, words = _scale(fit.variance, fit.degrees, sigma)
+    variance, scale_degrees, words = _scale(fit.variance, fit.degrees, sigma)
     share = (
         _correlated_share(fit.variance, fit.degrees, variance)
         if fit.process.order
@@ -206,6 +208,7 @@ def noise_from_rest(rest: Array | None, sigma: float | None, *, what: str = "mar
         common_sigma=np.asarray(0.0) if common is None else np.sqrt(common.variance),
         common_correlation=Autoregression() if common is None else common.process,
         source=f"{what} ({len(rest)} frames): {kind}{jitter}; {words}",
+        scale_degrees=scale_degrees,
     )
 
 
@@ -215,17 +218,26 @@ def _correlated_share(variance: Array, degrees: Array, total: Array) -> Array:
     return np.where(quieter, variance / total, 1.0)
 
 
-def _scale(variance: Array, degrees: Array, sigma: float | None) -> tuple[Array, str]:
+def _scale(variance: Array, degrees: Array, sigma: float | None) -> tuple[Array, float, str]:
+    """Variance (M,), degrees of freedom behind the mean of them all, and where it comes from in words."""
     level = SCALE_LEVEL / len(variance)
     stated = None if sigma is None else sigma**2
     pooled = float((degrees * variance).sum() / degrees.sum())
     reference = pooled if stated is None else stated
     louder = chi2.sf(degrees * variance / reference, degrees) < level
+    # Whitening divides by the variance: this is the estimate whose inverse has no bias.
+    single = variance * degrees / (degrees - 2.0)
+    measured_degrees = len(variance) ** 2 / float((1.0 / degrees).sum())
     if stated is not None:
         if louder.any():
-            return np.where(louder, variance, stated), f"{int(louder.sum())} markers scatter more than stated"
-        return np.full_like(variance, stated), "scale as stated"
+            behind = len(variance) ** 2 / float((1.0 / degrees[louder]).sum())
+            return (
+                np.where(louder, single, stated),
+                behind,
+                f"{int(louder.sum())} markers scatter more than stated",
+            )
+        return np.full_like(variance, stated), np.inf, "scale as stated"
     quieter = chi2.cdf(degrees * variance / reference, degrees) < level
     if (louder | quieter).any():
-        return variance, "scale measured per marker"
-    return np.full_like(variance, pooled), "scale measured"
+        return single, measured_degrees, "scale measured per marker"
+    return np.full_like(variance, pooled), float(degrees.sum()), "scale measured"
