@@ -61,6 +61,17 @@ struct Equilibrium::Assembly {
     const Slots& slots() const { return m.slots_; }
     int history() const { return m.sites_.history; }
     const std::vector<std::int32_t>& constraint_node() const { return m.constraint_node_; }
+    Vec3<P> value(std::size_t b, const std::vector<double>& w) const {
+        Vec3<P> x;
+        const ValueTable<double>& values = m.values_[static_cast<std::size_t>(m.table_[b])];
+        for (int k = 0; k < 27; ++k) {
+            const std::size_t n = 3 * static_cast<std::size_t>(node_of<double>(rows(b), k));
+            for (std::size_t i = 0; i < 3; ++i) {
+                x.e[i] += w[n + i] * values.by_node[k];
+            }
+        }
+        return x;
+    }
     Mat3<P> gradient(std::size_t b, const std::vector<double>& w) const {
         Mat3<P> g;
         for (int a = 0; a < 27; ++a) {
@@ -119,8 +130,23 @@ Equilibrium::Equilibrium(std::shared_ptr<const TotalLagrangian<double>> model) :
         }
     }
     unknown_ = Eigen::VectorXd::Zero(n);
-    solver_.isSymmetric(true);
-    solver_.setPivotThreshold(0.05);
+    // The hold's rows and the nodes that they tie come first: their block needs the pivoting.
+    std::vector<int> start;
+    for (int i = first_row; i < n; ++i) {
+        start.push_back(i);
+    }
+    std::vector<bool> tied(3 * model_->node_count(), false);
+    for (const std::int32_t node : a.constraint_node()) {
+        for (int c = 0; c < 3; ++c) {
+            tied[static_cast<std::size_t>(3 * node + c)] = true;
+        }
+    }
+    for (int i = 0; i < first_row; ++i) {
+        if (tied[static_cast<std::size_t>(i)]) {
+            start.push_back(i);
+        }
+    }
+    solver_.analyse(matrix_, start);
 }
 
 void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::VectorXd& residual) {
@@ -242,12 +268,7 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
     Eigen::VectorXd residual;
     for (s.iterations = 1; s.iterations <= iterations; ++s.iterations) {
         assemble(w_, true, residual);
-        if (!analysed_) {
-            solver_.analyzePattern(matrix_);
-            analysed_ = true;
-        }
-        solver_.factorize(matrix_);
-        if (solver_.info() != Eigen::Success) {
+        if (!solver_.factorise(matrix_)) {
             throw SimulationError("equilibrium: the stiffness matrix is singular; is a part of the object not connected to the hold?");
         }
         const Eigen::VectorXd step = solver_.solve(-residual);
@@ -276,7 +297,16 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
         for (std::size_t i = 0; i < nodes; ++i) {
             unknown_[static_cast<Eigen::Index>(i)] = w_[i];
         }
-        s.last_step = step.head(static_cast<Eigen::Index>(nodes)).lpNorm<Eigen::Infinity>();
+        // Nodes that carry next to no material move without meaning: the material's step counts.
+        s.last_step = 0;
+        const std::vector<double> moved(step.data(), step.data() + nodes);
+        for (std::size_t b = 0; b < a.blocks(); ++b) {
+            const Vec3<P> at = a.value(b, moved);
+            const P square = dot(at, at);
+            for (int q = 0; q < lane_count; ++q) {
+                s.last_step = std::max(s.last_step, std::isfinite(square[q]) ? std::sqrt(square[q]) : INFINITY);
+            }
+        }
         if (!std::isfinite(s.last_step)) {
             break;
         }
@@ -377,9 +407,7 @@ Equilibrium::Direction Equilibrium::adjoint(const std::vector<double>& deformati
             }
         }
     }
-    // SparseLU::transpose() is not const in Eigen 3.4; it does not change the factors.
-    auto& solver = const_cast<decltype(solver_)&>(solver_);
-    const Eigen::VectorXd z = solver.transpose().solve(bar);
+    const Eigen::VectorXd z = solver_.solve_transposed(bar);
     Direction out;
     out.load.assign(z.data(), z.data() + 3 * model_->node_count());
     out.fields.mu.assign(fields_.mu.size(), 0.0);

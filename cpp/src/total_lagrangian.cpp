@@ -99,10 +99,10 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
         done += wanted;
     };
     while (done < directions.size()) {
-        if (directions.size() - done > 3) {
+        if (directions.size() - done > 4) {
             batch(std::integral_constant<int, 8>{});
         } else {
-            batch(std::integral_constant<int, 3>{});
+            batch(std::integral_constant<int, 4>{});
         }
     }
     if (result.empty()) {

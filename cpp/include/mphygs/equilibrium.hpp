@@ -3,15 +3,15 @@
 // Inverse statics on the published shape: find the map X(Y) = Y + w(Y) to the stress-free state so
 // that, with F = (I + grad w)^-1, the Cauchy stress balances the loads on the published shape:
 //   R_a = sum_q V_q sigma(F_q) grad N_a - f_a + C^T mu = 0,  C w = 0.
-// Newton's method with a sparse direct factorisation; derivatives by the implicit-function theorem.
+// Newton's method with a direct factorisation; derivatives by the implicit-function theorem.
 // Source of the inverse formulation: Govindjee & Mihalic, "Computational methods for inverse finite
 // elastostatics", 1996.
 #pragma once
 
-#include <Eigen/Sparse>
 #include <memory>
 #include <vector>
 
+#include "mphygs/block_tridiagonal.hpp"
 #include "mphygs/transfers/total_lagrangian.hpp"
 
 namespace mphygs {
@@ -56,8 +56,7 @@ class Equilibrium {
     Eigen::VectorXd unknown_;
     Eigen::SparseMatrix<double> matrix_;
     std::vector<std::int32_t> position_;  // of every block's 81 x 81 entries in the matrix's values
-    Eigen::SparseLU<Eigen::SparseMatrix<double>, Eigen::AMDOrdering<int>> solver_;
-    bool analysed_ = false;
+    BlockTridiagonal solver_;
 };
 
 }  // namespace mphygs

@@ -12,16 +12,17 @@ struct Fibre {
                                       {"a_x", "-", 0, -1, 1, 1, false},
                                       {"a_y", "-", 0, -1, 1, 1, false},
                                       {"a_z", "-", 1, -1, 1, 1, false}}};
-    /// P = 2 k_f (I4 - 1) (F a) a^T
+    /// P = 2 k_f (I4 - 1) (F_e a) (factor a)^T, F_e = F factor the part of F that stores energy
     template <class S>
     static void stress(VolumePoint<S>& p, const S* q) {
         using R = typename ScalarOf<S>::type;
         const Vec3<S> a{{q[1], q[2], q[3]}};
         const Vec3<S> fa = p.elastic * a;
         const S scale = R(2) * q[0] * (dot(fa, fa) - dot(a, a));
+        const Vec3<S> b = p.strained ? p.factor * a : a;
         for (int i = 0; i < 3; ++i) {
             for (int j = 0; j < 3; ++j) {
-                p.stress[i][j] = p.stress[i][j] + scale * fa[i] * a[j];
+                p.stress[i][j] = p.stress[i][j] + scale * fa[i] * b[j];
             }
         }
     }

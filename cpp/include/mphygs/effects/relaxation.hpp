@@ -37,7 +37,9 @@ struct Relaxation {
             branch[column[k]][row[k]] = next;
         }
         p.history_next[12] = constant<S>(1);
-        p.stress = p.stress + p.deformation * branch;
+        // P = F_e Q factor^T: pushed forward as the base law's own stress is.
+        const Mat3<S> added = p.elastic * branch;
+        p.stress = p.stress + (p.strained ? added * transpose(p.factor) : added);
     }
 };
 

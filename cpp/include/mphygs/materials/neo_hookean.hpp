@@ -27,6 +27,37 @@ struct NeoHookean {
         }
         return p;
     }
+
+    /// Stress at one state, and its change in any number of directions, hand-written.
+    template <class S>
+    struct Linearised {
+        Mat3<S> f, c;
+        S mu, lambda, inverse_j, log_j, scale;
+
+        Linearised(const Mat3<S>& deformation, const S& mu_, const S& lambda_)
+            : f(deformation), c(cofactor(deformation)), mu(mu_), lambda(lambda_) {
+            const S j = determinant(f, c);
+            inverse_j = 1 / j;
+            log_j = logarithm(j);
+            scale = (lambda * log_j - mu) * inverse_j;
+        }
+        Mat3<S> stress() const { return mu * f + scale * c; }
+        /// dP for dF, d mu, d lambda.
+        Mat3<S> change(const Mat3<S>& df, const S& dmu, const S& dlambda) const {
+            const S volumetric = inner(c, df) * inverse_j;  // d ln J
+            const S dscale = (dlambda * log_j + lambda * volumetric - dmu) * inverse_j - scale * volumetric;
+            Mat3<S> dp;
+            for (int a = 0; a < 3; ++a) {
+                const int a1 = (a + 1) % 3, a2 = (a + 2) % 3;
+                for (int b = 0; b < 3; ++b) {
+                    const int b1 = (b + 1) % 3, b2 = (b + 2) % 3;
+                    const S dc = df[a1][b1] * f[a2][b2] + f[a1][b1] * df[a2][b2] - df[a1][b2] * f[a2][b1] - f[a1][b2] * df[a2][b1];
+                    dp[a][b] = mu * df[a][b] + dmu * f[a][b] + dscale * c[a][b] + scale * dc;
+                }
+            }
+            return dp;
+        }
+    };
 };
 
 }  // namespace mphygs

@@ -66,22 +66,29 @@ inline int node_of(const Rows& rows, int a) {
 /// sum_a f_a (dN_a/dx)^T at the eight points. field: 3 arrays of `stride` numbers.
 template <class T>
 inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const Rows& rows, const GradientTable<T>& table) {
-    Mat3<Pack<T>> g;
+    // Named sums: g++ 12 leaves an indexed local array in memory inside a loop.
+    Pack<T> xx{}, xy{}, xz{}, yx{}, yy{}, yz{}, zx{}, zy{}, zz{};
     const T* x = field;
     const T* y = field + stride;
     const T* z = field + 2 * stride;
+    const Pack<T>(*w)[3] = table.by_node;
     for (int r = 0; r < row_count_27; ++r) {
-        for (int k = 0; k < 3; ++k) {
+        for (int k = 0; k < 3; ++k, ++w) {
             const int n = rows[r] + k;
-            const Pack<T>* w = table.by_node[r * 3 + k];
-            for (int j = 0; j < 3; ++j) {
-                g.e[0][j] += x[n] * w[j];
-                g.e[1][j] += y[n] * w[j];
-                g.e[2][j] += z[n] * w[j];
-            }
+            const Pack<T> wx = (*w)[0], wy = (*w)[1], wz = (*w)[2];
+            const T a = x[n], b = y[n], c = z[n];
+            xx += a * wx;
+            xy += a * wy;
+            xz += a * wz;
+            yx += b * wx;
+            yy += b * wy;
+            yz += b * wz;
+            zx += c * wx;
+            zy += c * wy;
+            zz += c * wz;
         }
     }
-    return g;
+    return {{{xx, xy, xz}, {yx, yy, yz}, {zx, zy, zz}}};
 }
 
 template <class T>
@@ -119,22 +126,34 @@ inline void scatter_gradient(const Mat3<Pack<T>>& stress, T* field, std::size_t 
                              const GradientTable<T>& table) {
     alignas(64) T p[3][3][8];
     std::memcpy(p, stress.e, sizeof p);
-    for (int c = 0; c < 3; ++c) {
-        Pack<T> s0{}, s1{}, s2{}, s3{}, s4{};
-        for (int q = 0; q < 8; ++q) {
-            for (int j = 0; j < 3; ++j) {
-                const T* w = table.by_point[q][j];
-                const T value = p[c][j][q];
-                s0 += value * load<T>(w);
-                s1 += value * load<T>(w + 8);
-                s2 += value * load<T>(w + 16);
-                s3 += value * load<T>(w + 24);
-                s4 += value * load<T>(w + 32);
-            }
+    // Fifteen sums at once hide the latency of the multiply-add.
+    Pack<T> x0{}, x1{}, x2{}, x3{}, x4{}, y0{}, y1{}, y2{}, y3{}, y4{}, z0{}, z1{}, z2{}, z3{}, z4{};
+    for (int q = 0; q < 8; ++q) {
+        for (int j = 0; j < 3; ++j) {
+            const T* w = table.by_point[q][j];
+            const Pack<T> w0 = load<T>(w), w1 = load<T>(w + 8), w2 = load<T>(w + 16), w3 = load<T>(w + 24), w4 = load<T>(w + 32);
+            const T a = p[0][j][q], b = p[1][j][q], c = p[2][j][q];
+            x0 += a * w0;
+            x1 += a * w1;
+            x2 += a * w2;
+            x3 += a * w3;
+            x4 += a * w4;
+            y0 += b * w0;
+            y1 += b * w1;
+            y2 += b * w2;
+            y3 += b * w3;
+            y4 += b * w4;
+            z0 += c * w0;
+            z1 += c * w1;
+            z2 += c * w2;
+            z3 += c * w3;
+            z4 += c * w4;
         }
-        const Pack<T> sums[5] = {s0, s1, s2, s3, s4};
-        add_rows<T>(sums, field + static_cast<std::size_t>(c) * stride, rows);
     }
+    const Pack<T> x[5] = {x0, x1, x2, x3, x4}, y[5] = {y0, y1, y2, y3, y4}, z[5] = {z0, z1, z2, z3, z4};
+    add_rows<T>(x, field, rows);
+    add_rows<T>(y, field + stride, rows);
+    add_rows<T>(z, field + 2 * stride, rows);
 }
 
 /// f_a += sum over the points of force N_a.

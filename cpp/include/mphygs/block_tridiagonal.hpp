@@ -1,0 +1,34 @@
+// Direct solver for the sparse systems of slender bodies: dense blocks along level sets.
+//
+// A breadth-first search from the held rows cuts the unknowns into levels that couple only to their
+// neighbours; the matrix is then block tridiagonal and is factorised with dense kernels:
+//   D_i <- D_i - L_i D_(i-1)^-1 U_(i-1).
+// Pivoting stays inside a block, which is enough for stiffness matrices with their constraints in
+// the first levels. Stems, leaves and beams have levels of a few hundred unknowns.
+#pragma once
+
+#include <Eigen/Dense>
+#include <Eigen/Sparse>
+#include <vector>
+
+namespace mphygs {
+
+class BlockTridiagonal {
+  public:
+    /// Levels of a matrix with a symmetric pattern, starting at the given unknowns; unknowns that
+    /// are not connected to them start levels of their own.
+    void analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<int>& start);
+    /// False where a block is singular.
+    bool factorise(const Eigen::SparseMatrix<double>& matrix);
+    Eigen::VectorXd solve(const Eigen::VectorXd& right) const;
+    Eigen::VectorXd solve_transposed(const Eigen::VectorXd& right) const;
+    bool analysed() const { return !levels_.empty(); }
+
+  private:
+    std::vector<std::vector<int>> levels_;
+    std::vector<int> level_of_, place_of_;
+    std::vector<Eigen::PartialPivLU<Eigen::MatrixXd>> diagonal_;
+    std::vector<Eigen::MatrixXd> lower_, upper_;  // L_i and U_i as they are in the matrix
+};
+
+}  // namespace mphygs

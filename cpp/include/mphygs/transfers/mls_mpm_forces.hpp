@@ -1,0 +1,249 @@
+// What a particle gives to the grid: momentum, forces, stress, holds; eight at a time.
+#pragma once
+
+#include "mphygs/transfers/mls_mpm_tile.hpp"
+#include "mphygs/transfers/mls_mpm_transfer.hpp"
+
+namespace mphygs {
+
+/// Eight particles at one instant.
+template <class S>
+struct ParticlePoint {
+    Vec3<S> x;  // from the anchor [m]
+    Vec3<S> v;  // [m/s]
+    Mat3<S> c;  // [1/s]
+    Mat3<S> f;  // [-]
+};
+
+template <class T, int K>
+class MlsForces {
+  public:
+    using S = PackScalar<T, K>;
+    using U = PlainScalar<T, K>;
+    using P = Pack<T>;
+
+    MlsForces(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const StepTable& table) : model_(model), inputs_(inputs), table_(table) {
+        uniforms_.resize(static_cast<std::size_t>(Registry::total_uniform_count));
+        plain_uniforms_.resize(uniforms_.size());
+        for (std::size_t i = 0; i < static_cast<std::size_t>(Registry::parameter_count); ++i) {
+            parameters_.push_back(inputs.plain(&Fields<T>::effect, i));
+        }
+        for (std::size_t c = 0; c < 3; ++c) {
+            const U g = inputs.plain(&Fields<T>::gravity, c);
+            for (int l = 0; l <= K; ++l) {
+                lane_of(gravity_[static_cast<int>(c)], l) = broadcast<T>(lane_of(g, l));
+            }
+        }
+    }
+
+    /// Moves to substep `n` of the run.
+    void refresh(int n) {
+        n_ = n;
+        frame_ = static_cast<std::size_t>(table_.frame[static_cast<std::size_t>(n)]);
+        time_ = static_cast<T>(table_.time[static_cast<std::size_t>(n)]);
+        dt_ = static_cast<T>(table_.dt[static_cast<std::size_t>(n)]);
+        all_uniforms(model_.slots_, parameters_.data(), time_, dt_, plain_uniforms_.data());
+        for (std::size_t i = 0; i < uniforms_.size(); ++i) {
+            for (int l = 0; l <= K; ++l) {
+                lane_of(uniforms_[i], l) = broadcast<T>(lane_of(plain_uniforms_[i], l));
+            }
+        }
+    }
+
+    /// Momentum q and affine part A = m C - dt V (4/h^2) tau of the eight particles from `first`.
+    /// history: (lanes, numbers, size), moved on by one substep.
+    void evaluate(const MlsOrder<T>& order, std::size_t first, const ParticlePoint<S>& p, T* history, Vec3<S>& momentum,
+                  Mat3<S>& affine) const {
+        const S mass = column(order, order.mass, first);
+        VolumePoint<S> point = volume_point(order, first, p);
+        Vec3<S> force = known_force(order, first);
+        if (model_.sites_.volume) {
+            const std::size_t count = static_cast<std::size_t>(model_.sites_.history);
+            std::vector<S> before(count), after(count);
+            load_history(order, first, history, before);
+            evaluate_volume(model_.slots_, uniforms_.data(), point, before.data(), after.data());
+            for (std::size_t i = 0; i < count; ++i) {
+                for (int l = 0; l <= K; ++l) {
+                    store<T>(history + (static_cast<std::size_t>(l) * count + i) * order.size + first, lane_of(after[i], l));
+                }
+            }
+            if (model_.sites_.body_volume) {
+                force = force + column(order, order.own_mass, first) * point.acceleration;
+            }
+        } else {
+            point.stress = elastic_stress(point.law, point.deformation, point.mu, point.lambda);
+        }
+        Vec3<S> acceleration = gravity_;
+        if (model_.sites_.body) {
+            acceleration = acceleration + evaluate_body(model_.slots_, uniforms_.data(), body_point(p));
+        }
+        force = force + mass * acceleration;
+        if (model_.sites_.surface && order.exposed[first / lane_count]) {
+            force = force + evaluate_surface(model_.slots_, uniforms_.data(), surface_point(order, first, p));
+        }
+        if (model_.sites_.point && order.placed[first / lane_count]) {
+            each_place(order, first, [&](int lane, std::size_t place) {
+                const std::vector<U> q = place_parameters(place);
+                const Vec3<U> f = evaluate_point(model_.slots_, q.data(), material_point(place, p, lane));
+                for (int c = 0; c < 3; ++c) {
+                    put<T, K>(force[c], lane, pick<T, K>(force[c], lane) + f[c]);
+                }
+            });
+        }
+        Vec3<S> velocity = p.v;
+        if (order.held[first / lane_count]) {
+            each_held(order, first, [&](int lane, std::size_t hold, std::size_t id) {
+                for (int c = 0; c < 3; ++c) {
+                    put<T, K>(velocity[c], lane, held_velocity(hold, id, c, pick<T, K>(p.x[c], lane)));
+                }
+            });
+        }
+        for (int c = 0; c < 3; ++c) {
+            momentum[c] = mass * velocity[c] + dt_ * force[c];
+        }
+        affine = mass * p.c - (stress_scale() * column(order, order.volume, first)) * (point.stress * transpose(p.f));
+    }
+
+    S column(const MlsOrder<T>& order, const Column<T>& values, std::size_t first) const {
+        S s{};
+        for (int l = 0; l <= K; ++l) {
+            lane_of(s, l) = load<T>(&values[static_cast<std::size_t>(l) * order.size + first]);
+        }
+        return s;
+    }
+    T stress_scale() const { return dt_ * static_cast<T>(4.0 / (model_.geometry_.spacing * model_.geometry_.spacing)); }
+    T dt() const { return dt_; }
+
+  private:
+    template <class TT>
+    friend class MlsForcesReverse;
+
+    VolumePoint<S> volume_point(const MlsOrder<T>& order, std::size_t first, const ParticlePoint<S>& p) const {
+        VolumePoint<S> point;
+        point.deformation = p.f;
+        if (model_.sites_.rate) {
+            point.rate = p.c * p.f;
+        }
+        point.mu = column(order, order.mu, first);
+        point.lambda = column(order, order.lambda, first);
+        point.law = model_.settings_.law;
+        point.time = time_;
+        point.dt = dt_;
+        return point;
+    }
+
+    void load_history(const MlsOrder<T>& order, std::size_t first, const T* history, std::vector<S>& to) const {
+        const std::size_t count = to.size();
+        for (std::size_t i = 0; i < count; ++i) {
+            for (int l = 0; l <= K; ++l) {
+                lane_of(to[i], l) = load<T>(history + (static_cast<std::size_t>(l) * count + i) * order.size + first);
+            }
+        }
+    }
+
+    Vec3<S> absolute(const Vec3<S>& x) const {
+        Vec3<S> r = x;
+        for (int c = 0; c < 3; ++c) {
+            lane_of(r[c], 0) += static_cast<T>(model_.anchor_[static_cast<std::size_t>(c)]);
+        }
+        return r;
+    }
+    BodyPoint<S> body_point(const ParticlePoint<S>& p) const { return {absolute(p.x), p.v, time_}; }
+    SurfacePoint<S> surface_point(const MlsOrder<T>& order, std::size_t first, const ParticlePoint<S>& p) const {
+        return {absolute(p.x), p.v, S(load<T>(&order.area[first])), time_};
+    }
+
+    Vec3<S> known_force(const MlsOrder<T>& order, std::size_t first) const {
+        Vec3<S> force;
+        const std::size_t count = model_.particle_count();
+        for (int l = 0; l <= K; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            if (!fields || fields->node_force.empty()) {
+                continue;
+            }
+            for (int q = 0; q < lane_count; ++q) {
+                const std::size_t i = static_cast<std::size_t>(order.id[first + static_cast<std::size_t>(q)]);
+                for (std::size_t c = 0; i < count && c < 3; ++c) {
+                    lane_of(force[static_cast<int>(c)], l)[q] = fields->node_force[(frame_ * count + i) * 3 + c];
+                }
+            }
+        }
+        return force;
+    }
+
+    /// f(lane, place) for the places on eight particles.
+    template <class F>
+    void each_place(const MlsOrder<T>& order, std::size_t first, F&& f) const {
+        for (std::size_t q = 0; q < lane_count; ++q) {
+            const std::int32_t start = order.place_next[first + q];
+            for (std::size_t place = static_cast<std::size_t>(start); start >= 0 && place < model_.place_particle_.size(); ++place) {
+                if (model_.place_particle_[place] == order.id[first + q]) {
+                    f(static_cast<int>(q), place);
+                }
+            }
+        }
+    }
+    std::vector<U> place_parameters(std::size_t place) const {
+        const std::size_t count = static_cast<std::size_t>(model_.sites_.point_parameters);
+        std::vector<U> q(count);
+        for (std::size_t i = 0; i < count; ++i) {
+            q[i] = inputs_.plain(&Fields<T>::place_effect, place * count + i);
+        }
+        return q;
+    }
+    /// The place moves with its particle: at rest it is where it was given.
+    MaterialPoint<U> material_point(std::size_t place, const ParticlePoint<S>& p, int lane) const {
+        MaterialPoint<U> m;
+        const std::size_t id = static_cast<std::size_t>(model_.place_particle_[place]);
+        for (std::size_t c = 0; c < 3; ++c) {
+            const double rest = model_.geometry_.places[3 * place + c];
+            const int k = static_cast<int>(c);
+            m.rest[k] = constant<U>(static_cast<T>(rest));
+            m.position[k] = pick<T, K>(p.x[k], lane) + static_cast<T>(rest - (model_.geometry_.points[3 * id + c] - model_.anchor_[c]));
+            m.velocity[k] = pick<T, K>(p.v[k], lane);
+        }
+        m.time = time_;
+        return m;
+    }
+
+    /// f(lane, hold, particle) for the held ones of eight particles.
+    template <class F>
+    void each_held(const MlsOrder<T>& order, std::size_t first, F&& f) const {
+        for (std::size_t q = 0; q < lane_count; ++q) {
+            if (order.hold[first + q] >= 0) {
+                f(static_cast<int>(q), static_cast<std::size_t>(order.hold[first + q]), static_cast<std::size_t>(order.id[first + q]));
+            }
+        }
+    }
+    std::size_t pose_index(std::size_t hold, int step) const {
+        return (hold * static_cast<std::size_t>(table_.count() + 1) + static_cast<std::size_t>(step)) * 12;
+    }
+    T relaxation() const { return static_cast<T>(1.0 / model_.settings_.hold_relaxation) / dt_; }
+
+    /// v = (x_n+1 - x_n)/dt + (x_n - x)/(kappa dt), x_n the particle's place under the hold's motion.
+    U held_velocity(std::size_t hold, std::size_t id, int c, const U& x) const {
+        const std::size_t now = pose_index(hold, n_), next = pose_index(hold, n_ + 1), row = static_cast<std::size_t>(c);
+        const double* rest = &model_.geometry_.points[3 * id];
+        const auto pose = [&](std::size_t at) { return inputs_.plain(&Fields<T>::pose, at); };
+        U place = pose(now + 9 + row) - static_cast<T>(model_.anchor_[row]);
+        U moved = pose(next + 9 + row) - pose(now + 9 + row);
+        for (std::size_t k = 0; k < 3; ++k) {
+            const U r = pose(now + 3 * row + k);
+            place += r * static_cast<T>(rest[k]);
+            moved += (pose(next + 3 * row + k) - r) * static_cast<T>(rest[k]);
+        }
+        return moved / dt_ + (place - x) * relaxation();
+    }
+
+    const MlsMpm<T>& model_;
+    Inputs<T, K> inputs_;
+    const StepTable& table_;
+    std::vector<U> parameters_, plain_uniforms_;
+    std::vector<S> uniforms_;
+    Vec3<S> gravity_;
+    int n_ = 0;
+    std::size_t frame_ = 0;
+    T time_ = 0, dt_ = 0;
+};
+
+}  // namespace mphygs

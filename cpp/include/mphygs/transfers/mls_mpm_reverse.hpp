@@ -1,0 +1,521 @@
+// Adjoint of the MLS-MPM run: the passes of MlsMpmRun<T, 0>, backwards.
+//
+// A record is the state at n: x, F, and the grid's velocities; v and C are gathered from it again.
+// Going from n + 1 to n a particle gathers the bars of the grid at n + 1 (of what it gave) and
+// scatters the bars of the grid at n (of what it took).
+#pragma once
+
+#include "mphygs/checkpoint.hpp"
+#include "mphygs/transfers/mls_mpm_forces_reverse.hpp"
+#include "mphygs/transfers/mls_mpm_run.hpp"
+
+namespace mphygs {
+
+template <class T>
+class MlsMpmReverse {
+  public:
+    using Run = MlsMpmRun<T, 0>;
+    using P = Pack<T>;
+    using Loss = typename MlsMpm<T>::Loss;
+
+    MlsMpmReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule)
+        : model_(model), fields_(fields), run_(model, inputs_of(fields), schedule), table_(run_.table()),
+          forces_(run_.forces_, fields), particles_(model.padded_), sums_(static_cast<std::size_t>(model.chunk_count_)),
+          grids_(model.chunk_count_, 1) {
+        const std::size_t n = model.padded_, count = model.particle_count();
+        x_bar_.assign(3 * n, T{});
+        f_bar_.assign(9 * n, T{});
+        history_bar_.assign(run_.state_.history.size(), T{});
+        for (auto* total : {&mu_, &lambda_, &volume_, &mass_, &own_mass_}) {
+            total->assign(count, 0.0);
+        }
+        parameter_bar_.assign(static_cast<std::size_t>(Registry::parameter_count), 0.0);
+        pose_bar_.assign(fields.pose.size(), 0.0);
+    }
+
+    /// loss is called once, with the whole trajectory where `keep` asks for it.
+    Fields<T> gradient(const Loss& loss, bool keep, const Progress& progress, long* recomputed) {
+        const int steps = table_.count();
+        keep_ = keep;
+        keep_frame(0);
+        run_.begin();
+        bar_order_ = run_.state_.order;
+        const std::size_t particles = (run_.state_.x.size() + run_.state_.f.size() + run_.state_.history.size()) * sizeof(T);
+        const std::size_t bytes = particles + run_.state_.grid.size() * 2 * sizeof(T);  // a box may grow
+        const auto forward = [&](int n) {
+            run_.step(n);
+            if (table_.is_frame(n + 1)) {
+                keep_frame(table_.frame_of_state(n + 1));
+            }
+        };
+        const auto save = [&] { return run_.state_; };
+        const auto restore = [&](const MlsState<T>& s) { run_.state_ = s; };
+        const auto forward_recorded = [&](int n) {
+            run_.prepare(n);
+            MlsState<T> s = run_.state_;
+            forward(n);
+            return s;
+        };
+        bool first = true;
+        const auto backward = [&](int n, const MlsState<T>& record) {
+            if (first) {
+                take_loss(loss);
+                first = false;
+            }
+            if (table_.is_frame(n + 1) && progress && !progress(table_.frame_of_state(n + 1))) {
+                throw SimulationError("interrupted");
+            }
+            reverse_step(n, record);
+            if (n == 0) {
+                reverse_start(record);
+            }
+        };
+        const long computed =
+            reverse_all(steps, bytes, bytes, model_.settings_.memory_budget, save, restore, forward, forward_recorded, backward);
+        if (first) {
+            take_loss(loss);
+        }
+        if (recomputed) {
+            *recomputed = computed - steps;
+        }
+        return collect();
+    }
+
+  private:
+    static Inputs<T, 0> inputs_of(const Fields<T>& fields) {
+        Inputs<T, 0> inputs;
+        inputs.primal = &fields;
+        return inputs;
+    }
+
+    void keep_frame(int frame) {
+        if (!keep_ || frame < kept_) {
+            return;
+        }
+        const std::size_t count = model_.particle_count(), at = static_cast<std::size_t>(frame);
+        trajectory_.position.resize((at + 1) * 3 * count);
+        trajectory_.velocity.resize((at + 1) * 3 * count);
+        trajectory_.deformation.resize((at + 1) * 9 * count);
+        run_.output(0, &trajectory_.position[at * 3 * count], &trajectory_.velocity[at * 3 * count],
+                    &trajectory_.deformation[at * 9 * count]);
+        kept_ = frame + 1;
+    }
+
+    void take_loss(const Loss& loss) {
+        bar_ = loss(trajectory_);
+        const std::size_t count = model_.particle_count();
+        const std::size_t frames = static_cast<std::size_t>(table_.frame_of_state(table_.count())) + 1;
+        const auto size = [](const std::vector<T>& v, std::size_t wanted, const char* name) {
+            if (!v.empty() && v.size() != wanted) {
+                throw std::invalid_argument(std::string("the bar of the ") + name + " has " + std::to_string(v.size()) +
+                                            " numbers, expected " + std::to_string(wanted));
+            }
+        };
+        size(bar_.position, frames * 3 * count, "position");
+        size(bar_.velocity, frames * 3 * count, "velocity");
+        size(bar_.deformation, frames * 9 * count, "deformation");
+    }
+
+    /// The bars that the loss gives to one particle at a frame.
+    void add_seeds(int frame, const MlsOrder<T>& order, std::size_t first, ParticlePoint<P>& bar) const {
+        const std::size_t count = model_.particle_count();
+        for (int q = 0; q < lane_count; ++q) {
+            const std::size_t i = static_cast<std::size_t>(order.id[first + static_cast<std::size_t>(q)]);
+            if (i >= count) {
+                continue;
+            }
+            const std::size_t at = static_cast<std::size_t>(frame) * count + i;
+            for (std::size_t c = 0; c < 3; ++c) {
+                if (!bar_.position.empty()) {
+                    bar.x[static_cast<int>(c)][q] += bar_.position[3 * at + c];
+                }
+                if (!bar_.velocity.empty()) {
+                    bar.v[static_cast<int>(c)][q] += bar_.velocity[3 * at + c];
+                }
+            }
+            for (std::size_t k = 0; k < 9 && !bar_.deformation.empty(); ++k) {
+                bar.f.e[k / 3][k % 3][q] += bar_.deformation[9 * at + k];
+            }
+        }
+    }
+
+    /// Brings the bars into the order of a record.
+    void follow(const std::shared_ptr<const MlsOrder<T>>& order) {
+        if (order == bar_order_) {
+            return;
+        }
+        flush();
+        const std::size_t n = order->size;
+        std::vector<std::int32_t> place(n), from(n);
+        for (std::size_t p = 0; p < n; ++p) {
+            place[static_cast<std::size_t>(bar_order_->id[p])] = static_cast<std::int32_t>(p);
+        }
+        for (std::size_t p = 0; p < n; ++p) {
+            from[p] = place[static_cast<std::size_t>(order->id[p])];
+        }
+        Run::permute_columns(x_bar_, from);
+        Run::permute_columns(f_bar_, from);
+        Run::permute_columns(history_bar_, from);
+        bar_order_ = order;
+    }
+    /// Sums over thousands of substeps are kept in double.
+    void flush() {
+        const std::size_t count = model_.particle_count();
+        const auto move = [&](std::vector<T>& from, std::vector<double>& to) {
+            for (std::size_t p = 0; p < from.size(); ++p) {
+                const std::size_t i = static_cast<std::size_t>(bar_order_->id[p]);
+                if (i < count) {
+                    to[i] += static_cast<double>(from[p]);
+                }
+                from[p] = T{};
+            }
+        };
+        move(particles_.mu, mu_);
+        move(particles_.lambda, lambda_);
+        move(particles_.volume, volume_);
+        move(particles_.mass, mass_);
+        move(particles_.own_mass, own_mass_);
+    }
+
+    void reverse_step(int n, const MlsState<T>& record) {
+        follow(record.order);
+        const bool forces = n + 1 < table_.count();
+        if (forces) {
+            run_.forces_.refresh(n + 1);
+            clear_sums();
+        }
+        run_.state_.history = record.history;  // evaluated again, to be overwritten
+        grids_.prepare(record.box, record.ranges);
+        for_each_index(model_.chunk_count_, model_.settings_.threads,
+                       [&](int c) { reverse_chunk(static_cast<std::size_t>(c), n, record, forces); });
+        if (forces) {
+            add_sums(n + 1);
+        }
+        grid_bar(record);
+    }
+
+    /// Bars of the velocities, summed, to bars of momentum and mass.
+    void grid_bar(const MlsState<T>& record) {
+        bar_grid_.resize(4 * record.box.nodes() + 4);
+        grids_.sum(record.box, record.ranges, model_.settings_.threads, [&](std::size_t first, std::size_t count, const auto& add) {
+            T* bar = &bar_grid_[4 * first];
+            const T* value = &record.grid[4 * first];
+            std::fill_n(bar, 4 * count, T{});
+            add(0, bar);
+            for (std::size_t i = 0; i < 4 * count; i += 4) {
+                const T inverse = MlsGrids<T>::inverse_mass(value[i + 3]);
+                const T work = bar[i] * value[i] + bar[i + 1] * value[i + 1] + bar[i + 2] * value[i + 2];
+                for (std::size_t c = 0; c < 3; ++c) {
+                    bar[i + c] *= inverse;
+                }
+                bar[i + 3] = -work * inverse;
+            }
+        });
+        bar_box_ = record.box;
+        bar_ranges_ = record.ranges;
+    }
+
+    static CellRange inside(const Box& box, const CellRange& range) {
+        CellRange r;
+        for (std::size_t k = 0; k < 3; ++k) {
+            r.low[k] = k == 0 ? range.low[0] : box.low[k] + 1;
+            r.high[k] = k == 0 ? range.high[0] : box.low[k] + box.count[k] - 2;
+        }
+        return r;
+    }
+
+    void add_slope(const MlsTile<T, 0>& tile, int pack, const T* grid, const Box& box, Vec3<P>& x_bar) const {
+        for (int q = 0; q < lane_count; ++q) {
+            const Vec3<T> slope = contracted_slope<T>(tile, static_cast<std::size_t>(pack * lane_count + q), grid, model_.axis_, box);
+            for (std::size_t c = 0; c < 3; ++c) {
+                x_bar[model_.axis_[c]][q] += run_.inverse_spacing_ * slope[static_cast<int>(c)];
+            }
+        }
+    }
+
+    /// Bars of what the particles at `points` gave to the grid whose bars are in bar_grid_.
+    void reverse_given(std::size_t c, std::size_t t, const MlsOrder<T>& order, const ParticlePoint<P>* points, const T* history,
+                       ParticlePoint<P>* bars) {
+        const CellRange limits = inside(bar_box_, bar_ranges_[c]);
+        CellRange ignored;
+        MlsTile<T, 0> tile, given;
+        for (int k = 0; k < tile_packs; ++k) {
+            const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+            locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, bar_box_, limits, ignored);
+            Mat3<P> affine;
+            run_.forces_.evaluate(order, p, points[k], run_.state_.history.data(), tile.q[k], affine);
+            tile.n[k] = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * affine;
+            tile.mass[k] = run_.forces_.column(order, order.mass, p);
+            add_slope(tile, k, bar_grid_.data(), bar_box_, bars[k].x);
+        }
+        given = tile;
+        gather<T, 0>(given, bar_grid_.data(), 0, model_.axis_, bar_box_);
+        for (int k = 0; k < tile_packs; ++k) {
+            GivenBars<T> g;
+            g.momentum = given.q[k];
+            g.affine = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * given.n[k];
+            for (int q = 0; q < lane_count; ++q) {
+                g.mass[q] = gather_fourth<T>(tile, static_cast<std::size_t>(k * lane_count + q), bar_grid_.data(), model_.axis_, bar_box_);
+            }
+            forces_.reverse(order, t + static_cast<std::size_t>(k * lane_count), points[k], history, g, history_bar_.data(), bars[k],
+                            particles_, sums_[c]);
+        }
+    }
+
+    void reverse_chunk(std::size_t c, int n, const MlsState<T>& record, bool forces) {
+        const T h = static_cast<T>(table_.dt[static_cast<std::size_t>(n)]);
+        const CellRange limits = inside(record.box, record.ranges[c]);
+        const std::size_t size = record.order->size;
+        CellRange ignored;
+        MlsTile<T, 0> tile;
+        for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
+            ParticlePoint<P> points[tile_packs], bars[tile_packs];
+            Mat3<P> before[tile_packs];
+            for (int k = 0; k < tile_packs; ++k) {
+                points[k] = load_particles(record.x, record.f, size, t + static_cast<std::size_t>(k * lane_count));
+                locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
+            }
+            gather<T, 0>(tile, record.grid.data(), 0, model_.axis_, record.box);
+            for (int k = 0; k < tile_packs; ++k) {
+                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                points[k].v = tile.q[k];
+                points[k].c = run_.affine_velocity(tile.n[k]);
+                before[k] = points[k].f;
+                points[k].x = points[k].x + broadcast<T>(h) * points[k].v;
+                points[k].f = points[k].f + broadcast<T>(h) * (points[k].c * points[k].f);
+                bars[k] = load_particles(x_bar_, f_bar_, size, p);
+                if (table_.is_frame(n + 1)) {
+                    add_seeds(table_.frame_of_state(n + 1), *record.order, p, bars[k]);
+                }
+            }
+            if (forces) {
+                reverse_given(c, t, *record.order, points, record.history.data(), bars);
+            }
+            for (int k = 0; k < tile_packs; ++k) {
+                ParticlePoint<P>& bar = bars[k];
+                bar.v = bar.v + broadcast<T>(h) * bar.x;
+                bar.c = bar.c + broadcast<T>(h) * (bar.f * transpose(before[k]));
+                bar.f = bar.f + broadcast<T>(h) * (transpose(points[k].c) * bar.f);
+                tile.q[k] = bar.v;
+                tile.n[k] = run_.affine_velocity(bar.c);
+                tile.mass[k] = P{};
+                add_slope(tile, k, record.grid.data(), record.box, bar.x);
+                store_particles(bar, size, t + static_cast<std::size_t>(k * lane_count));
+            }
+            scatter<T, 0>(tile, grids_.private_grid(c), 0, model_.axis_, record.box);
+        }
+    }
+
+    /// The initial scatter, and C_0 gathered from the bare velocities; record: state 0.
+    void reverse_start(const MlsState<T>& record) {
+        const std::size_t size = record.order->size, count = model_.particle_count();
+        v_bar_.assign(3 * size, T{});
+        run_.forces_.refresh(0);
+        clear_sums();
+        // The bare velocities once more.
+        MlsState<T> bare = record;
+        std::fill(bare.history.begin(), bare.history.end(), T{});
+        run_.state_ = bare;
+        run_.start_velocity_.assign(3 * size, T{});
+        for (std::size_t p = 0; p < size; ++p) {
+            const std::size_t i = std::min(static_cast<std::size_t>(record.order->id[p]), count - 1);
+            for (std::size_t c = 0; c < 3 && !fields_.velocity0.empty(); ++c) {
+                run_.start_velocity_[c * size + p] = fields_.velocity0[3 * i + c];
+            }
+        }
+        run_.grids_.prepare(record.box, record.ranges);
+        for (int c = 0; c < model_.chunk_count_; ++c) {
+            run_.start_chunk(static_cast<std::size_t>(c), record.box, false);
+        }
+        run_.grids_.reduce(record.box, record.ranges, 1, bare.grid);
+
+        const std::vector<T> no_history = bare.history;
+        const auto start = [&](std::size_t p) {
+            ParticlePoint<P> point = load_particles(record.x, record.f, size, p);
+            for (std::size_t c = 0; c < 3; ++c) {
+                point.v[static_cast<int>(c)] = load<T>(&run_.start_velocity_[c * size + p]);
+            }
+            return point;
+        };
+        grids_.prepare(record.box, record.ranges);
+        for (int chunk = 0; chunk < model_.chunk_count_; ++chunk) {
+            const std::size_t c = static_cast<std::size_t>(chunk);
+            const CellRange limits = inside(record.box, record.ranges[c]);
+            CellRange ignored;
+            MlsTile<T, 0> tile;
+            for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
+                ParticlePoint<P> points[tile_packs], bars[tile_packs];
+                for (int k = 0; k < tile_packs; ++k) {
+                    points[k] = start(t + static_cast<std::size_t>(k * lane_count));
+                    locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
+                }
+                gather<T, 0>(tile, bare.grid.data(), 0, model_.axis_, record.box);
+                for (int k = 0; k < tile_packs; ++k) {
+                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                    points[k].c = run_.affine_velocity(tile.n[k]);
+                    bars[k] = load_particles(x_bar_, f_bar_, size, p);
+                    add_seeds(0, *record.order, p, bars[k]);
+                }
+                reverse_given(c, t, *record.order, points, no_history.data(), bars);
+                for (int k = 0; k < tile_packs; ++k) {
+                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                    tile.q[k] = {};
+                    tile.n[k] = run_.affine_velocity(bars[k].c);
+                    tile.mass[k] = P{};
+                    add_slope(tile, k, bare.grid.data(), record.box, bars[k].x);
+                    store_particles(bars[k], size, p);
+                    for (std::size_t a = 0; a < 3; ++a) {
+                        store<T>(&v_bar_[a * size + p], bars[k].v[static_cast<int>(a)]);
+                    }
+                }
+                scatter<T, 0>(tile, grids_.private_grid(c), 0, model_.axis_, record.box);
+            }
+        }
+        add_sums(0);
+        grid_bar(bare);
+        for (std::size_t c = 0; c < record.ranges.size(); ++c) {
+            const CellRange limits = inside(record.box, record.ranges[c]);
+            CellRange ignored;
+            MlsTile<T, 0> tile;
+            for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
+                Vec3<P> velocity[tile_packs];
+                for (int k = 0; k < tile_packs; ++k) {
+                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                    ParticlePoint<P> point = start(p), bar = load_particles(x_bar_, f_bar_, size, p);
+                    velocity[k] = point.v;
+                    locate(tile, k, point.x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
+                    tile.mass[k] = run_.forces_.column(*record.order, record.order->mass, p);
+                    tile.q[k] = tile.mass[k] * point.v;
+                    tile.n[k] = {};
+                    add_slope(tile, k, bar_grid_.data(), record.box, bar.x);
+                    store_particles(bar, size, p);
+                }
+                gather<T, 0>(tile, bar_grid_.data(), 0, model_.axis_, record.box);
+                for (std::size_t q = 0; q < tile_size; ++q) {
+                    const int k = static_cast<int>(q) / lane_count, lane = static_cast<int>(q) % lane_count;
+                    T mass_bar = gather_fourth<T>(tile, q, bar_grid_.data(), model_.axis_, record.box);
+                    for (int a = 0; a < 3; ++a) {
+                        mass_bar += tile.q[k][a][lane] * velocity[k][a][lane];
+                        v_bar_[static_cast<std::size_t>(a) * size + t + q] += tile.mass[k][lane] * tile.q[k][a][lane];
+                    }
+                    particles_.mass[t + q] += mass_bar;
+                }
+            }
+        }
+    }
+
+    void clear_sums() {
+        for (MlsChunkSums& s : sums_) {
+            s = {};
+            s.uniform.assign(static_cast<std::size_t>(Registry::total_uniform_count), 0.0);
+            s.pose.assign(static_cast<std::size_t>(model_.geometry_.hold_count) * 24, 0.0);
+        }
+    }
+    void add_sums(int n) {
+        std::vector<double> uniform(static_cast<std::size_t>(Registry::total_uniform_count), 0.0);
+        for (const MlsChunkSums& s : sums_) {
+            for (std::size_t i = 0; i < uniform.size(); ++i) {
+                uniform[i] += s.uniform[i];
+            }
+            for (std::size_t c = 0; c < 3; ++c) {
+                gravity_bar_[c] += s.gravity[c];
+            }
+            for (std::size_t h = 0; h < static_cast<std::size_t>(model_.geometry_.hold_count); ++h) {
+                for (std::size_t i = 0; i < 24; ++i) {
+                    pose_bar_[run_.forces_.pose_index(h, n) + i] += s.pose[24 * h + i];
+                }
+            }
+        }
+        forces_.reverse_uniforms(uniform, parameter_bar_);
+    }
+
+    ParticlePoint<P> load_particles(const std::vector<T>& x, const std::vector<T>& f, std::size_t size, std::size_t p) const {
+        ParticlePoint<P> r;
+        for (std::size_t c = 0; c < 3; ++c) {
+            r.x[static_cast<int>(c)] = load<T>(&x[c * size + p]);
+        }
+        for (std::size_t k = 0; k < 9; ++k) {
+            r.f.e[k / 3][k % 3] = load<T>(&f[k * size + p]);
+        }
+        return r;
+    }
+    void store_particles(const ParticlePoint<P>& bar, std::size_t size, std::size_t p) {
+        for (std::size_t c = 0; c < 3; ++c) {
+            store<T>(&x_bar_[c * size + p], bar.x[static_cast<int>(c)]);
+        }
+        for (std::size_t k = 0; k < 9; ++k) {
+            store<T>(&f_bar_[k * size + p], bar.f.e[k / 3][k % 3]);
+        }
+    }
+
+    Fields<T> collect() {
+        flush();
+        const std::size_t count = model_.particle_count(), size = model_.padded_;
+        if (table_.count() == 0) {  // the loss sees the initial state alone
+            v_bar_.assign(3 * size, T{});
+            for (std::size_t p = 0; p < size; p += lane_count) {
+                ParticlePoint<P> bar{};
+                add_seeds(0, *bar_order_, p, bar);
+                store_particles(bar, size, p);
+                for (std::size_t c = 0; c < 3; ++c) {
+                    store<T>(&v_bar_[c * size + p], bar.v[static_cast<int>(c)]);
+                }
+            }
+        }
+        Fields<T> out;
+        const auto narrow = [](const std::vector<double>& from) { return std::vector<T>(from.begin(), from.end()); };
+        out.mu = narrow(mu_);
+        out.lambda = narrow(lambda_);
+        out.stress_volume = narrow(volume_);
+        if (model_.sites_.mass) {
+            for (const std::int32_t p : model_.place_particle_) {
+                out.place_mass.push_back(static_cast<T>(mass_[static_cast<std::size_t>(p)]));
+            }
+        }
+        out.mass.resize(count);
+        for (std::size_t i = 0; i < count; ++i) {
+            out.mass[i] = static_cast<T>(mass_[i] + own_mass_[i]);
+        }
+        out.effect = narrow(parameter_bar_);
+        out.place_effect = narrow(forces_.place_effect_bar);
+        out.gravity = {static_cast<T>(gravity_bar_[0]), static_cast<T>(gravity_bar_[1]), static_cast<T>(gravity_bar_[2])};
+        out.displacement0.resize(3 * count);
+        out.velocity0.resize(3 * count);
+        out.deformation0.resize(9 * count);
+        for (std::size_t p = 0; p < size; ++p) {
+            const std::size_t i = static_cast<std::size_t>(bar_order_->id[p]);
+            // Padding stands on the last particle but gives nothing: its bars are zero.
+            for (std::size_t c = 0; i < count && c < 3; ++c) {
+                out.displacement0[3 * i + c] = x_bar_[c * size + p];
+                out.velocity0[3 * i + c] = v_bar_[c * size + p];
+            }
+            for (std::size_t k = 0; i < count && k < 9; ++k) {
+                out.deformation0[9 * i + k] = f_bar_[k * size + p];
+            }
+        }
+        out.node_force = forces_.node_force_bar;
+        out.pose = narrow(pose_bar_);
+        return out;
+    }
+
+    const MlsMpm<T>& model_;
+    const Fields<T>& fields_;
+    Run run_;
+    const StepTable& table_;
+    MlsForcesReverse<T> forces_;
+    MlsParticleBars<T> particles_;
+    std::vector<MlsChunkSums> sums_;
+    MlsGrids<T> grids_;
+    ParticleTrajectory<T> trajectory_, bar_;
+    bool keep_ = false;
+    int kept_ = 0;
+    std::shared_ptr<const MlsOrder<T>> bar_order_;
+    std::vector<T> x_bar_, f_bar_, v_bar_, history_bar_;  // components, size
+    std::vector<T> bar_grid_;  // bars of {px, py, pz, m} at the state above
+    Box bar_box_;
+    std::vector<CellRange> bar_ranges_;
+    std::vector<double> mu_, lambda_, volume_, mass_, own_mass_, parameter_bar_, pose_bar_;  // by the caller's number
+    double gravity_bar_[3] = {0, 0, 0};
+};
+
+}  // namespace mphygs

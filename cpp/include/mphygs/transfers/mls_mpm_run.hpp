@@ -1,0 +1,456 @@
+// One run of the MLS-MPM transfer: values and tangents, substep by substep.
+//
+// A pass goes from state n to state n + 1 in one sweep over the particles: gather at n, move,
+// stress, scatter at n + 1; the velocities and C never leave the tile. Chunks of consecutive
+// sorted particles scatter to grids of their own, which are summed in the order of the chunks.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+
+#include "mphygs/parallel.hpp"
+#include "mphygs/transfers/mls_mpm_forces.hpp"
+#include "mphygs/transfers/mls_mpm_grids.hpp"
+
+namespace mphygs {
+
+template <class T, int K>
+class MlsMpmRun {
+  public:
+    using S = PackScalar<T, K>;
+    using P = Pack<T>;
+    static constexpr int lanes = K + 1;
+
+    MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule)
+        : model_(model), inputs_(inputs), table_(schedule), forces_(model, inputs, table_),
+          inverse_spacing_(static_cast<T>(1.0 / model.geometry_.spacing)), grids_(model.chunk_count_, lanes) {
+        failed_.assign(static_cast<std::size_t>(model.chunk_count_), -1);
+        place_particles();
+    }
+
+    /// From the initial particles to state 0.
+    void begin() {
+        if (table_.count() == 0) {
+            return;
+        }
+        const Box box = reach();
+        for (const bool real : {false, true}) {
+            if (real) {
+                forces_.refresh(0);
+            }
+            grids_.prepare(box, state_.ranges);
+            for_each_index(model_.chunk_count_, model_.settings_.threads,
+                           [&](int c) { start_chunk(static_cast<std::size_t>(c), box, real); });
+            grids_.reduce(box, state_.ranges, model_.settings_.threads, state_.grid);
+            state_.box = box;
+        }
+        start_velocity_.clear();
+        start_velocity_.shrink_to_fit();
+    }
+
+    /// Sorts the particles where substep `n` calls for it; to be called before the state is kept.
+    void prepare(int n) {
+        if (n % model_.settings_.sort_interval == 0) {
+            sort();
+        }
+    }
+
+    /// Substep `n`: from state n to state n + 1.
+    void step(int n) {
+        prepare(n);
+        const bool forces = n + 1 < table_.count();
+        const bool output = table_.is_frame(n + 1);
+        const T h = static_cast<T>(table_.dt[static_cast<std::size_t>(n)]);
+        if (output) {
+            velocity_.resize(static_cast<std::size_t>(lanes) * 3 * size());
+        }
+        const Box next = reach();
+        if (forces) {
+            forces_.refresh(n + 1);
+            grids_.prepare(next, state_.ranges);
+        }
+        std::vector<CellRange> ranges(state_.ranges.size());
+        for_each_index(model_.chunk_count_, model_.settings_.threads, [&](int c) {
+            advance_chunk(static_cast<std::size_t>(c), h, next, forces, output, ranges[static_cast<std::size_t>(c)]);
+        });
+        stop_if_failed(n);
+        state_.ranges = std::move(ranges);
+        if (forces) {
+            grids_.reduce(next, state_.ranges, model_.settings_.threads, state_.grid);
+            state_.box = next;
+        }
+        if (output) {
+            stop_if_not_finite(table_.frame_of_state(n + 1), table_.time[static_cast<std::size_t>(n)] + static_cast<double>(h));
+        }
+    }
+
+    /// Copies lane l to (N, 3), (N, 3), (N, 3, 3) arrays. Velocities are those of the last frame.
+    void output(int l, T* position, T* velocity, T* deformation) const {
+        const std::size_t count = model_.particle_count(), n = size(), lane = static_cast<std::size_t>(l);
+        for (std::size_t p = 0; p < n; ++p) {
+            const std::size_t i = static_cast<std::size_t>(state_.order->id[p]);
+            if (i >= count) {
+                continue;
+            }
+            for (std::size_t c = 0; c < 3; ++c) {
+                position[3 * i + c] = state_.x[(3 * lane + c) * n + p];
+                if (l == 0) {
+                    position[3 * i + c] = static_cast<T>(static_cast<double>(position[3 * i + c]) + model_.anchor_[c]);
+                }
+                velocity[3 * i + c] = velocity_[(3 * lane + c) * n + p];
+            }
+            for (std::size_t k = 0; k < 9; ++k) {
+                deformation[9 * i + k] = state_.f[(9 * lane + k) * n + p];
+            }
+        }
+    }
+
+    const StepTable& table() const { return table_; }
+    MlsState<T>& state() { return state_; }
+    std::size_t size() const { return model_.padded_; }
+
+  private:
+    template <class TT>
+    friend class MlsMpmReverse;
+    template <class TT>
+    friend class MlsMpm;
+
+    std::size_t chunk_begin(std::size_t c) const {
+        return tile_size * part_begin(size() / tile_size, model_.chunk_count_, static_cast<int>(c));
+    }
+
+    void place_particles() {
+        const MlsGeometry& g = model_.geometry_;
+        const std::size_t n = size(), count = model_.particle_count();
+        std::vector<std::int32_t> ids(n);
+        state_.x.assign(lanes * 3 * n, T{});
+        state_.f.assign(lanes * 9 * n, T{});
+        state_.history.assign(lanes * static_cast<std::size_t>(model_.sites_.history) * n, T{});
+        velocity_.assign(lanes * 3 * n, T{});
+        for (std::size_t p = 0; p < n; ++p) {
+            ids[p] = static_cast<std::int32_t>(p);
+            const std::size_t i = std::min(p, count - 1);  // padding stands on the last particle
+            for (int l = 0; l < lanes; ++l) {
+                const std::size_t lane = static_cast<std::size_t>(l);
+                for (std::size_t c = 0; c < 3; ++c) {
+                    T& x = state_.x[(3 * lane + c) * n + p];
+                    x = lane_of(inputs_.plain(&Fields<T>::displacement0, 3 * i + c), l);
+                    if (l == 0) {
+                        x += static_cast<T>(g.points[3 * i + c] - model_.anchor_[c]);
+                    }
+                    velocity_[(3 * lane + c) * n + p] = lane_of(inputs_.plain(&Fields<T>::velocity0, 3 * i + c), l);
+                }
+                for (std::size_t k = 0; k < 9; ++k) {
+                    T& f = state_.f[(9 * lane + k) * n + p];
+                    if (!inputs_.primal->deformation0.empty() && p < count) {
+                        f = lane_of(inputs_.plain(&Fields<T>::deformation0, 9 * i + k), l);
+                    } else {
+                        f = l == 0 && k % 4 == 0 ? T(1) : T(0);
+                    }
+                }
+            }
+        }
+        state_.order = std::make_shared<MlsOrder<T>>(model_, inputs_, std::move(ids));
+        sort();
+        start_velocity_ = velocity_;
+    }
+
+    /// Cells in the order of the grid's memory, a stable counting sort.
+    void sort() {
+        const std::size_t n = size();
+        std::vector<std::int32_t> key(n), from(n);
+        std::array<std::vector<std::int32_t>, 3> node;
+        CellRange all;
+        for (std::size_t c = 0; c < 3; ++c) {
+            node[c].resize(n);
+            const T* x = &state_.x[static_cast<std::size_t>(model_.axis_[c]) * n];
+            for (std::size_t p = 0; p < n; p += lane_count) {
+                const P scaled = load<T>(x + p) * inverse_spacing_;
+                const PackMask<T> index = __builtin_convertvector(nearest(scaled), PackMask<T>);
+                for (int q = 0; q < lane_count; ++q) {
+                    node[c][p + static_cast<std::size_t>(q)] = static_cast<std::int32_t>(index[q]);
+                }
+            }
+            const auto [low, high] = std::minmax_element(node[c].begin(), node[c].end());
+            all.low[c] = *low;
+            all.high[c] = *high;
+        }
+        check_extent(all);
+        std::size_t cells = 1;
+        for (std::size_t c = 0; c < 3; ++c) {
+            const std::size_t width = static_cast<std::size_t>(all.high[c] - all.low[c] + 1);
+            for (std::size_t p = 0; p < n; ++p) {
+                key[p] = key[p] * static_cast<std::int32_t>(width) + (node[c][p] - all.low[c]);
+            }
+            cells *= width;
+        }
+        std::vector<std::int32_t> start(cells + 1, 0);
+        for (const std::int32_t k : key) {
+            ++start[static_cast<std::size_t>(k) + 1];
+        }
+        for (std::size_t k = 0; k < cells; ++k) {
+            start[k + 1] += start[k];
+        }
+        for (std::size_t p = 0; p < n; ++p) {
+            from[static_cast<std::size_t>(start[static_cast<std::size_t>(key[p])]++)] = static_cast<std::int32_t>(p);
+        }
+        permute(from);
+        state_.ranges.assign(static_cast<std::size_t>(model_.chunk_count_), {});
+        for (std::size_t k = 0; k < state_.ranges.size(); ++k) {
+            for (std::size_t p = chunk_begin(k); p < chunk_begin(k + 1); ++p) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    const int at = node[c][static_cast<std::size_t>(from[p])];
+                    state_.ranges[k].low[c] = std::min(state_.ranges[k].low[c], at);
+                    state_.ranges[k].high[c] = std::max(state_.ranges[k].high[c], at);
+                }
+            }
+        }
+    }
+
+    void permute(const std::vector<std::int32_t>& from) {
+        const std::size_t n = size();
+        std::vector<std::int32_t> ids(n);
+        bool moved = false;
+        for (std::size_t p = 0; p < n; ++p) {
+            ids[p] = state_.order->id[static_cast<std::size_t>(from[p])];
+            moved |= from[p] != static_cast<std::int32_t>(p);
+        }
+        if (!moved) {
+            return;
+        }
+        for (std::vector<T>* columns : {&state_.x, &state_.f, &state_.history, &velocity_}) {
+            permute_columns(*columns, from);
+        }
+        state_.order = std::make_shared<MlsOrder<T>>(model_, inputs_, std::move(ids));
+    }
+    static void permute_columns(std::vector<T>& columns, const std::vector<std::int32_t>& from) {
+        std::vector<T> next(columns.size());
+        for (std::size_t start = 0; start < columns.size(); start += from.size()) {
+            for (std::size_t p = 0; p < from.size(); ++p) {
+                next[start + p] = columns[start + static_cast<std::size_t>(from[p])];
+            }
+        }
+        columns = std::move(next);
+    }
+
+    /// The nodes that particles may touch within one substep: each may move by one cell.
+    Box reach() const {
+        CellRange all;
+        for (const CellRange& r : state_.ranges) {
+            all.cover(r);
+        }
+        check_extent(all);
+        Box box;
+        for (std::size_t c = 0; c < 3; ++c) {
+            box.low[c] = all.low[c] - 2;
+            box.count[c] = all.high[c] - all.low[c] + 5;
+        }
+        return box;
+    }
+
+    /// The grid is dense over the particles' box: scattered particles would ask for all memory.
+    void check_extent(const CellRange& all) const {
+        double bytes = 4.0 * sizeof(T) * lanes;
+        std::ostringstream text;
+        for (std::size_t c = 0; c < 3; ++c) {
+            const double width = static_cast<double>(all.high[c]) - static_cast<double>(all.low[c]) + 5;
+            bytes *= width;
+            text << (c ? " x " : "") << width;
+        }
+        if (!(bytes < 4.0 * (1u << 30)) || all.low[0] < -(1 << 28)) {
+            throw SimulationError("the particles spread over a box of " + text.str() +
+                                  " cells, more than 4 GB of grid: a position is wrong, the run is unstable, or the spacing is "
+                                  "too small for the object");
+        }
+    }
+
+    /// Where the nearest nodes of chunk c may lie after one substep.
+    CellRange limits(std::size_t c, const Box& box, int motion) const {
+        CellRange r;
+        for (std::size_t k = 0; k < 3; ++k) {
+            r.low[k] = k == 0 ? state_.ranges[c].low[0] - motion : box.low[k] + 1;
+            r.high[k] = k == 0 ? state_.ranges[c].high[0] + motion : box.low[k] + box.count[k] - 2;
+        }
+        return r;
+    }
+
+    ParticlePoint<S> load_particles(std::size_t p) const {
+        ParticlePoint<S> r;
+        const std::size_t n = size();
+        for (int l = 0; l < lanes; ++l) {
+            const std::size_t lane = static_cast<std::size_t>(l);
+            for (std::size_t c = 0; c < 3; ++c) {
+                lane_of(r.x[static_cast<int>(c)], l) = load<T>(&state_.x[(3 * lane + c) * n + p]);
+            }
+            for (std::size_t k = 0; k < 9; ++k) {
+                lane_of(r.f.e[k / 3][k % 3], l) = load<T>(&state_.f[(9 * lane + k) * n + p]);
+            }
+        }
+        return r;
+    }
+
+    /// C = 4/h^2 sum w v (x_i - x)^T from the moment in cell units.
+    Mat3<S> affine_velocity(const Mat3<S>& moment) const {
+        return constant<S>(T(4) * inverse_spacing_) * moment;
+    }
+
+    void give(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point, T* history) const {
+        Mat3<S> affine;
+        forces_.evaluate(*state_.order, p, point, history, tile.q[pack], affine);
+        tile.n[pack] = constant<S>(static_cast<T>(model_.geometry_.spacing)) * affine;
+        tile.mass[pack] = forces_.column(*state_.order, state_.order->mass, p);
+    }
+
+    /// Scatters the initial state: first the bare velocities, from whose grid C_0 is gathered.
+    void start_chunk(std::size_t c, const Box& box, bool real) {
+        const CellRange inside = limits(c, box, 0);
+        CellRange seen;
+        MlsTile<T, K> tile;
+        T* out = grids_.private_grid(c);
+        for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
+            ParticlePoint<S> points[tile_packs];
+            for (int k = 0; k < tile_packs; ++k) {
+                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                points[k] = load_particles(p);
+                for (int l = 0; l < lanes; ++l) {
+                    for (std::size_t a = 0; a < 3; ++a) {
+                        lane_of(points[k].v[static_cast<int>(a)], l) = load<T>(&start_velocity_[(3 * static_cast<std::size_t>(l) + a) * size() + p]);
+                    }
+                }
+                locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
+            }
+            if (real) {
+                gather<T, K>(tile, state_.grid.data(), 4 * box.nodes(), model_.axis_, box);
+            }
+            for (int k = 0; k < tile_packs; ++k) {
+                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                if (real) {
+                    points[k].c = affine_velocity(tile.n[k]);
+                    give(tile, k, p, points[k], state_.history.data());
+                } else {
+                    tile.mass[k] = forces_.column(*state_.order, state_.order->mass, p);
+                    tile.q[k] = tile.mass[k] * points[k].v;
+                    tile.n[k] = {};
+                }
+            }
+            scatter<T, K>(tile, out, grids_.lane_stride(c), model_.axis_, box);
+        }
+    }
+
+    void advance_chunk(std::size_t c, T h, const Box& next, bool forces, bool output, CellRange& seen) {
+        const CellRange now = limits(c, state_.box, 0), then = limits(c, next, 1);
+        CellRange ignored;
+        MlsTile<T, K> tile;
+        T* out = forces ? grids_.private_grid(c) : nullptr;
+        const std::size_t n = size();
+        for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
+            ParticlePoint<S> points[tile_packs];
+            for (int k = 0; k < tile_packs; ++k) {
+                points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count));
+                locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, state_.box, now, ignored);
+            }
+            gather<T, K>(tile, state_.grid.data(), 4 * state_.box.nodes(), model_.axis_, state_.box);
+            for (int k = 0; k < tile_packs; ++k) {
+                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                ParticlePoint<S>& point = points[k];
+                point.v = tile.q[k];
+                point.c = affine_velocity(tile.n[k]);
+                for (int a = 0; a < 3; ++a) {
+                    point.x[a] = point.x[a] + h * point.v[a];
+                }
+                point.f = point.f + constant<S>(h) * (point.c * point.f);
+                for (int l = 0; l < lanes; ++l) {
+                    const std::size_t lane = static_cast<std::size_t>(l);
+                    for (std::size_t a = 0; a < 3; ++a) {
+                        store<T>(&state_.x[(3 * lane + a) * n + p], lane_of(point.x[static_cast<int>(a)], l));
+                        if (output) {
+                            store<T>(&velocity_[(3 * lane + a) * n + p], lane_of(point.v[static_cast<int>(a)], l));
+                        }
+                    }
+                    for (std::size_t a = 0; a < 9; ++a) {
+                        store<T>(&state_.f[(9 * lane + a) * n + p], lane_of(point.f.e[a / 3][a % 3], l));
+                    }
+                }
+                if (!locate(tile, k, point.x, inverse_spacing_, model_.axis_, next, then, seen) && failed_[c] < 0) {
+                    failed_[c] = static_cast<long>(p);
+                }
+                if (forces) {
+                    give(tile, k, p, point, state_.history.data());
+                }
+            }
+            if (forces) {
+                scatter<T, K>(tile, out, grids_.lane_stride(c), model_.axis_, next);
+            }
+        }
+    }
+
+    [[noreturn]] void stop(std::size_t p, int frame, double time, const std::string& cause) const {
+        const std::size_t i = static_cast<std::size_t>(state_.order->id[p]);
+        const int part = model_.geometry_.part[std::min(i, model_.particle_count() - 1)];
+        std::ostringstream text;
+        text << "unstable before output frame " << frame << " (t = " << time << " s), first in part " << part << ": " << cause
+             << "; the substep is too long for the stiffest part, or the material has inverted";
+        SimulationError error(text.str());
+        error.frame = frame;
+        error.part = part;
+        throw error;
+    }
+
+    void stop_if_failed(int n) {
+        for (const long f : failed_) {
+            if (f < 0) {
+                continue;
+            }
+            for (std::size_t p = static_cast<std::size_t>(f) / lane_count * lane_count; p < size(); ++p) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    if (!std::isfinite(state_.x[c * size() + p])) {
+                        stop(p, table_.frame[static_cast<std::size_t>(n)] + 1, table_.time[static_cast<std::size_t>(n)],
+                             "a position is not finite");
+                    }
+                }
+            }
+            stop(static_cast<std::size_t>(f), table_.frame[static_cast<std::size_t>(n)] + 1,
+                 table_.time[static_cast<std::size_t>(n)], "a particle moved by more than one cell in one substep");
+        }
+    }
+
+    void stop_if_not_finite(int frame, double time) const {
+        const T limit = static_cast<T>(model_.settings_.displacement_limit);
+        const std::size_t n = size();
+        for (std::size_t p = 0; p < n; ++p) {
+            bool good = true;
+            for (int l = 0; l < lanes; ++l) {
+                const std::size_t lane = static_cast<std::size_t>(l);
+                for (std::size_t c = 0; c < 3; ++c) {
+                    good &= std::isfinite(state_.x[(3 * lane + c) * n + p]) && std::isfinite(velocity_[(3 * lane + c) * n + p]);
+                }
+                for (std::size_t k = 0; k < 9; ++k) {
+                    good &= std::isfinite(state_.f[(9 * lane + k) * n + p]);
+                }
+            }
+            if (!good) {
+                stop(p, frame, time, "a position or deformation is not finite");
+            }
+            const std::size_t i = static_cast<std::size_t>(state_.order->id[p]);
+            for (std::size_t c = 0; i < model_.particle_count() && c < 3; ++c) {
+                const T rest = static_cast<T>(model_.geometry_.points[3 * i + c] - model_.anchor_[c]);
+                if (!(std::abs(state_.x[c * n + p] - rest) < limit)) {
+                    stop(p, frame, time, "a displacement is above the limit");
+                }
+            }
+        }
+    }
+
+    const MlsMpm<T>& model_;
+    Inputs<T, K> inputs_;
+    StepTable table_;
+    MlsForces<T, K> forces_;
+    T inverse_spacing_;
+    MlsState<T> state_;
+    std::vector<T> velocity_, start_velocity_;  // (lanes, 3, size)
+    MlsGrids<T> grids_;
+    std::vector<long> failed_;  // per chunk, first particle that left its limits, -1: none
+};
+
+}  // namespace mphygs

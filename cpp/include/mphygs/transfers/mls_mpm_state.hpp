@@ -1,0 +1,160 @@
+// What an MLS-MPM run carries: sorted particles, the grid they stand on, and the substep table.
+#pragma once
+
+#include <memory>
+
+#include "mphygs/transfers/mls_mpm.hpp"
+
+namespace mphygs {
+
+inline constexpr std::size_t tile_size = 32;  // particles that are worked on together
+inline constexpr int tile_packs = static_cast<int>(tile_size) / lane_count;
+
+/// A box of grid nodes in the order of the grid's memory: slowest axis first, {px, py, pz, m} each.
+struct Box {
+    std::array<int, 3> low{}, count{};
+    std::size_t nodes() const {
+        return static_cast<std::size_t>(count[0]) * static_cast<std::size_t>(count[1]) * static_cast<std::size_t>(count[2]);
+    }
+    std::size_t plane() const { return static_cast<std::size_t>(count[1]) * static_cast<std::size_t>(count[2]); }
+};
+
+/// Smallest and largest nearest node of some particles.
+struct CellRange {
+    std::array<int, 3> low{1 << 30, 1 << 30, 1 << 30}, high{-(1 << 30), -(1 << 30), -(1 << 30)};
+    void cover(const CellRange& other) {
+        for (std::size_t c = 0; c < 3; ++c) {
+            low[c] = std::min(low[c], other.low[c]);
+            high[c] = std::max(high[c], other.high[c]);
+        }
+    }
+};
+
+/// One number per particle, with its derivatives behind it.
+template <class T>
+using Column = std::vector<T>;
+
+/// Particles in the order of their cells, with everything that does not move. `size` counts the
+/// padding: particles without mass and volume.
+template <class T>
+struct MlsOrder {
+    std::size_t size = 0;
+    int lanes = 1;
+    std::vector<std::int32_t> id;                // the caller's number, >= N: padding
+    Column<T> mu, lambda, volume, mass;          // (lanes, size); mass with the attached one
+    Column<T> own_mass;                          // without it, where a volume effect has a body force
+    Column<T> area;                              // (size,)
+    std::vector<std::int32_t> hold;              // (size,)
+    std::vector<std::int32_t> place_next;        // (size,) first place of a particle, -1: none
+    std::vector<unsigned char> held, exposed, placed;  // of each block of eight
+
+    template <int K>
+    MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::vector<std::int32_t> ids);
+};
+
+template <class T>
+template <int K>
+MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::vector<std::int32_t> ids)
+    : size(ids.size()), lanes(K + 1), id(std::move(ids)) {
+    const MlsGeometry& g = model.geometry_;
+    const std::size_t count = g.particle_count();
+    const std::size_t all = static_cast<std::size_t>(lanes) * size;
+    for (Column<T>* c : {&mu, &lambda, &volume, &mass}) {
+        c->assign(all, T{});
+    }
+    for (int l = 0; l < lanes; ++l) {
+        const Fields<T>* f = l == 0 ? inputs.primal : inputs.direction[l - 1];
+        const std::size_t from = static_cast<std::size_t>(l) * size;
+        const auto fill = [&](Column<T>& to, const std::vector<T>* values, T pad) {
+            for (std::size_t p = 0; p < size; ++p) {
+                const std::size_t i = static_cast<std::size_t>(id[p]);
+                to[from + p] = i >= count ? pad : (values && !values->empty() ? (*values)[i] : T{});
+            }
+        };
+        const T unit = l == 0 ? T(1) : T(0);
+        fill(mu, f ? &f->mu : nullptr, unit);
+        fill(lambda, f ? &f->lambda : nullptr, unit);
+        fill(volume, f ? &f->stress_volume : nullptr, T{});
+        fill(mass, f ? &f->mass : nullptr, T{});
+    }
+    if (model.sites_.body_volume) {
+        own_mass = mass;
+    }
+    hold.assign(size, -1);
+    place_next.assign(size, -1);
+    held.assign(size / lane_count, 0);
+    exposed = placed = held;
+    if (model.sites_.surface) {
+        area.assign(size, T{});
+    }
+    std::vector<std::int32_t> first(count, -1);
+    for (std::size_t q = g.place_count(); q-- > 0;) {
+        first[static_cast<std::size_t>(model.place_particle_[q])] = static_cast<std::int32_t>(q);
+    }
+    for (std::size_t p = 0; p < size; ++p) {
+        const std::size_t i = static_cast<std::size_t>(id[p]);
+        if (i >= count) {
+            continue;
+        }
+        if (!g.hold.empty()) {
+            hold[p] = g.hold[i];
+            held[p / lane_count] |= hold[p] >= 0;
+        }
+        if (model.sites_.surface && !g.surface_area.empty()) {
+            area[p] = static_cast<T>(g.surface_area[i]);
+            exposed[p / lane_count] |= area[p] != T{};
+        }
+        place_next[p] = first[i];
+        placed[p / lane_count] |= first[i] >= 0;
+        if (first[i] >= 0 && model.sites_.mass) {
+            for (std::size_t q = 0; q < g.place_count(); ++q) {
+                if (model.place_particle_[q] == id[p]) {
+                    for (int l = 0; l < lanes; ++l) {
+                        mass[static_cast<std::size_t>(l) * size + p] += lane_of(inputs.plain(&Fields<T>::place_mass, q), l);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// State n of a run: the particles at n and the velocities {vx, vy, vz, m} of the grid at n, ready
+/// to be gathered. History is that of the effects after their forces at n.
+template <class T>
+struct MlsState {
+    std::shared_ptr<const MlsOrder<T>> order;
+    std::vector<T> x;        // (lanes, 3, size) from the anchor [m]
+    std::vector<T> f;        // (lanes, 9, size)
+    std::vector<T> history;  // (lanes, numbers, size)
+    std::vector<T> grid;     // (lanes, nodes, 4)
+    Box box;
+    std::vector<CellRange> ranges;  // of each chunk
+};
+
+/// Frame, time and length of every substep.
+struct StepTable {
+    std::vector<int> frame;
+    std::vector<double> time, dt;
+
+    explicit StepTable(const Schedule& schedule) {
+        double start = schedule.start;
+        for (int f = 0; f < schedule.frame_count(); ++f) {
+            const double h = schedule.dt[static_cast<std::size_t>(f)];
+            const int count = schedule.steps[static_cast<std::size_t>(f)];
+            for (int s = 0; s < count; ++s) {
+                frame.push_back(f);
+                time.push_back(start + s * h);
+                dt.push_back(h);
+            }
+            start += count * h;
+        }
+    }
+    int count() const { return static_cast<int>(frame.size()); }
+    /// Whether state n is an output frame.
+    bool is_frame(int n) const {
+        return n == 0 || n == count() || frame[static_cast<std::size_t>(n)] != frame[static_cast<std::size_t>(n - 1)];
+    }
+    int frame_of_state(int n) const { return n == 0 ? 0 : frame[static_cast<std::size_t>(n - 1)] + 1; }
+};
+
+}  // namespace mphygs
