@@ -197,6 +197,19 @@ def test_absorbed_dead_and_dependent_candidates() -> None:
     assert residuals @ tangent[:, 0] == pytest.approx(residual @ tangent[:, 0])
 
 
+def test_a_nearly_absorbed_direction_leaves_the_score_and_the_joint_matrices() -> None:
+    generator = np.random.default_rng(19)
+    jacobian, tangent = toy(generator)
+    nearly = jacobian[:, 1] + 1e-2 * tangent[:, 2]
+    effect = candidate("e", np.stack([tangent[:, 0], nearly], 1), bounded=[False, True])
+    residual = generator.standard_normal(120) + tangent[:, 0] + 2.0 * tangent[:, 2]
+    table = score_candidates(residual, jacobian, [effect], generator=generator)
+    assert np.isinf(table["e"].std[1])
+    values, vectors = np.linalg.eigh(table.joint_information)
+    assert values[0] < 1e-12 * values[1]
+    assert abs(vectors[:, 0] @ table.joint_score) < 1e-6 * np.linalg.norm(table.joint_score)
+
+
 def test_dependent_parameters_are_counted_once() -> None:
     generator = np.random.default_rng(14)
     jacobian, tangent = toy(generator)

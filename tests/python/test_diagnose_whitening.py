@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -154,7 +156,7 @@ def test_white_treatment_of_correlated_noise_raises_false_alarms_and_whitening_d
     full = np.broadcast_to(tangents[:, None, None, :], (frames, markers, 3, 3))
     observed = generator.random((frames, markers)) > 0.1
     alarms = {"white": 0, "whitened": 0}
-    draws = 60
+    draws = 30
     for _ in range(draws):
         noise = correlated_noise(generator, 0.85, frames, (markers, 3)) * 1e-4
         rest = correlated_noise(generator, 0.85, 40, (markers, 3)) * 1e-4
@@ -168,6 +170,36 @@ def test_white_treatment_of_correlated_noise_raises_false_alarms_and_whitening_d
             alarms[name] += int((chi2.sf(score, 1) < 0.05).sum())
     assert alarms["white"] > 0.3 * 3 * draws
     assert alarms["whitened"] < 0.1 * 3 * draws
+
+
+def test_a_measured_scale_whitens_to_one_on_average_and_says_how_well_it_is_known() -> None:
+    generator = np.random.default_rng(7)
+    scale = np.array([1.0, 1.0, 5.0, 0.2])[:, None]
+    ratios = []
+    for _ in range(40):
+        noise = noise_from_rest(generator.normal(size=(MINIMUM_REST_FRAMES, 4, 3)) * scale, None)
+        # Expected chi² per observation given this estimate; the scale is known to about 2 / scale_degrees.
+        ratios.append(np.mean(scale[:, 0] ** 2 / noise.sigma**2))
+        assert noise.scale_degrees == pytest.approx(4 * 3 * (MINIMUM_REST_FRAMES - 1))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+    assert np.std(ratios) == pytest.approx(np.sqrt(2.0 / noise.scale_degrees), rel=0.4)
+    assert noise_from_rest(generator.normal(size=(40, 4, 3)), 1.0).scale_degrees == np.inf
+
+
+def test_rest_of_the_recorded_beam_is_correlated_and_unequal() -> None:
+    path = Path(__file__).parents[3] / "shared" / "data" / "silicone-beam" / "beam_gravity_V2_a.c3d"
+    if not path.exists():
+        pytest.skip("the recorded beam is not beside the repository")
+    ezc3d = pytest.importorskip("ezc3d")
+    rest = np.moveaxis(ezc3d.c3d(str(path))["data"]["points"][:3], -1, 0).transpose(0, 2, 1)[:68]
+    measured = noise_from_rest(rest, None)
+    # The second base marker flickers by 0.14 mm, the others by 0.01 to 0.05 mm.
+    assert np.argmax(measured.sigma) == 4 and measured.sigma[4] == pytest.approx(1.4e-4, rel=0.2)
+    assert measured.sigma[[0, 1, 2, 3, 5]].max() < 6e-5
+    assert measured.correlation.autocorrelation(2)[1] > 0.7
+    stated = noise_from_rest(rest, 2e-4)
+    np.testing.assert_allclose(stated.sigma, 2e-4)
+    assert stated.correlated_share[0] < 0.02 < 0.3 < stated.correlated_share[4]
 
 
 def test_bad_input_is_named() -> None:

@@ -70,12 +70,17 @@ class FamilyLaw:
 
 
 def simulate_family(table: ScoreTable, *, generator: np.random.Generator, draws: int = 2000) -> FamilyLaw:
-    """Parametric bootstrap of every testable candidate under the null of the table."""
+    """Parametric bootstrap of every testable candidate under the null of the table.
+
+    Raises ValueError when none is testable.
+    """
+    tested = [score for score in table.scores if score.testable]
+    if not tested:
+        raise ValueError("family: expected at least one testable candidate")
     values, vectors = np.linalg.eigh(table.joint_information)
     kept = values > 1e-10 * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
     normal = generator.standard_normal((draws, int(kept.sum())))
     joint = (normal * np.sqrt(values[kept])) @ vectors[:, kept].T
-    tested = [score for score in table.scores if score.testable]
     drops = np.empty((draws, len(tested)))
     p_values = np.empty((draws, len(tested)))
     outside = table.degrees - int(kept.sum())
