@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mphygs.diagnose.blocks import Blocks, part_time_blocks
+from mphygs.compare.blocks import Blocks, part_time_blocks
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, ScoreTable
 

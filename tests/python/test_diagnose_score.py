@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2, f, kstest
 
-from mphygs.diagnose.allowance import Allowance, modulated_directions
+from mphygs.compare.allowance import Allowance, modulated_directions
 from mphygs.diagnose.cone import cone_maximum, cone_weights, mixture_p_value
-from mphygs.diagnose.projection import project_out
+from mphygs.compare.projection import project_out
 from mphygs.diagnose.score import predicted_residual, score_candidates
 from mphygs.diagnose.score_table import Candidate
 

@@ -8,7 +8,8 @@ from diagnose_toy import COUNT, candidate, smooth_tangents, table_of, toy
 from scipy.stats import kstest
 
 from mphygs.diagnose.decoys import check_decoys, decoy_tangents
-from mphygs.diagnose.multiplicity import holm, simulate_family
+from mphygs.compare.holm import holm
+from mphygs.diagnose.multiplicity import simulate_family
 
 
 def test_holm_gives_the_textbook_adjustment() -> None:

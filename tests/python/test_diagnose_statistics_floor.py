@@ -7,15 +7,15 @@ import pytest
 from diagnose_toy import COUNT, FRAMES, MARKERS, grid_blocks, smooth_tangents, toy
 from scipy.stats import chi2, kstest
 
-from mphygs.diagnose.allowance import Allowance, local_variance, modulated_directions
+from mphygs.compare.allowance import Allowance, local_variance, modulated_directions
 from mphygs.diagnose.block_scores import block_scores
-from mphygs.diagnose.blocks import part_time_blocks
+from mphygs.compare.blocks import part_time_blocks
 from mphygs.diagnose.held_out import gain_interval
-from mphygs.diagnose.multiplicity import holm
-from mphygs.diagnose.projection import project_out
+from mphygs.compare.holm import holm
+from mphygs.compare.projection import project_out
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.trials import score_trials
-from mphygs.diagnose.verdict_floor import floor_test
+from mphygs.compare.verdict_floor import floor_test
 
 
 def test_blocks_cover_parts_and_frames() -> None:

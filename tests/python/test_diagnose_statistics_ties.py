@@ -13,7 +13,7 @@ from mphygs.diagnose.power import (
     detectable_strength,
     least_visible_direction,
 )
-from mphygs.diagnose.projection import project_out
+from mphygs.compare.projection import project_out
 from mphygs.diagnose.ties import compare_pair, separating_motions, tied_with
 
 

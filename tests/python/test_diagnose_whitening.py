@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.stats import chi2
 
-from mphygs.diagnose.autoregression import Autoregression, GapWhitener
-from mphygs.diagnose.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
+from mphygs.compare.autoregression import Autoregression, GapWhitener
+from mphygs.compare.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
 
 
 def correlated_noise(

@@ -136,6 +136,12 @@ def test_hold_box_takes_exactly_its_volume() -> None:
     assert quadrature.points[:, :, 0].min() > 0.0137
 
 
+def test_hold_box_cuts_columns_even_if_these_are_coarse() -> None:
+    hold = np.array([[[-1.0, -1.0, -1.0], [0.0037, 1.0, 1.0]]])
+    quadrature = fill([box([0.0, 0.0, 0.0], [0.01] * 3)], spacing=0.01, exclude_boxes=hold, samples=2)
+    assert quadrature.free_volume[0] == pytest.approx(0.63e-6, rel=1e-10)
+
+
 def test_boxes_that_overlap_are_taken_once() -> None:
     holds = np.array([[[-1.0, -1.0, -1.0], [0.01, 1.0, 1.0]], [[0.005, -1.0, -1.0], [0.02, 1.0, 1.0]]])
     quadrature = fill([box([0.0, 0.0, 0.0], [0.05, 0.02, 0.03])], spacing=0.006, exclude_boxes=holds)

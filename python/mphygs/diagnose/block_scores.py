@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mphygs.diagnose.blocks import Blocks
-from mphygs.diagnose.projection import Projection
+from mphygs.compare.blocks import Blocks
+from mphygs.compare.projection import Projection
 
 Array = NDArray[np.float64]
 

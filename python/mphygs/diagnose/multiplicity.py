@@ -6,7 +6,6 @@ with the joint information as covariance, so a draw costs as little as the candi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,22 +15,6 @@ from mphygs.diagnose.cone import cone_maximum, mixture_p_value, mixture_p_value_
 from mphygs.diagnose.score_table import Score, ScoreTable
 
 Array = NDArray[np.float64]
-
-
-def holm(p_values: Mapping[str, float]) -> dict[str, float]:
-    """Adjusted p-values by name: those up to a level are significant together at that level (Holm, 1979).
-
-    Raises ValueError on a p-value outside [0, 1].
-    """
-    for name, value in p_values.items():
-        if not 0.0 <= value <= 1.0:
-            raise ValueError(f"{name}: p-value {value}, expected a number in [0, 1]")
-    adjusted: dict[str, float] = {}
-    running = 0.0
-    for rank, name in enumerate(sorted(p_values, key=lambda n: p_values[n])):
-        running = max(running, min(1.0, (len(p_values) - rank) * p_values[name]))
-        adjusted[name] = running
-    return {name: adjusted[name] for name in p_values}
 
 
 @dataclass(frozen=True, kw_only=True)

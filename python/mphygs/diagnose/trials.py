@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from mphygs.diagnose.allowance import Allowance
-from mphygs.diagnose.projection import RANK_TOLERANCE, project_out
+from mphygs.compare.allowance import Allowance
+from mphygs.compare.projection import RANK_TOLERANCE, project_out
 from mphygs.diagnose.score import MAXIMUM_ABSORBED
 
 Array = NDArray[np.float64]

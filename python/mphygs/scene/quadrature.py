@@ -143,7 +143,7 @@ def _checked(
 
 
 def _planes(parts: Sequence[Part], boxes: np.ndarray, axis: int, spacing: float, most: int) -> np.ndarray:
-    """Where columns must not straddle: every box, and flat sides unless as dense as the columns are anyway."""
+    """Where to cut columns: at every box, and at flat sides unless these are as dense as the columns."""
     flat = np.unique(np.concatenate([flat_planes(part, axis, 1e-9 * spacing) for part in parts]))
     return np.concatenate([flat if len(flat) <= most else flat[:0], boxes[:, :, axis].ravel()])
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from mphygs.diagnose.autoregression import Array, Autoregression, GapWhitener
+from mphygs.compare.autoregression import Array, Autoregression, GapWhitener
 
 MAXIMUM_ORDER = 3
 # Correlation is believed only when it beats white noise at this level, whatever Akaike's criterion says.

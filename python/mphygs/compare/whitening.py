@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import toeplitz
 from scipy.stats import chi2
 
-from mphygs.diagnose.autoregression import Array, Autoregression, GapWhitener
-from mphygs.diagnose.rest_noise import MAXIMUM_ORDER, fit_common, fit_rest, without_common
+from mphygs.compare.autoregression import Array, Autoregression, GapWhitener
+from mphygs.compare.rest_noise import MAXIMUM_ORDER, fit_common, fit_rest, without_common
 
 # With fewer frames at rest the restricted likelihood still runs, but the correlation time it finds cannot be
 # longer than the footage: the stated sigma, taken as white, is then the better guess.

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from mphygs.diagnose.allowance import Allowance
-from mphygs.diagnose.blocks import Block, Blocks
-from mphygs.diagnose.multiplicity import holm
-from mphygs.diagnose.projection import RANK_TOLERANCE, project_out
+from mphygs.compare.allowance import Allowance
+from mphygs.compare.blocks import Block, Blocks
+from mphygs.compare.holm import holm
+from mphygs.compare.projection import RANK_TOLERANCE, project_out
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""Prediction beside measurement: residuals, noise, metrics, where and when, error budget."""

@@ -1,0 +1,95 @@
+"""Measured markers of one sequence with the noise that they carry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mphygs.capture.record import Sequence
+from mphygs.compare.whitening import NoiseModel, Whitener, noise_from_rest
+from mphygs.simulate.body import Attachment
+
+# Without a stated sigma and without rest footage: what good marker systems reach.
+DEFAULT_SIGMA = 2e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """position: (T, M, 3) [m], NaN where missing; noise: of one coordinate.
+
+    weight: (M,) 1 for markers in use, 0 for markers left out as outliers.
+    """
+
+    position: np.ndarray
+    noise: NoiseModel
+    weight: np.ndarray
+    _whiteners: dict = field(default_factory=dict, repr=False)
+
+    @property
+    def observed(self) -> np.ndarray:
+        """(T, M) bool: measured, and not left out."""
+        return np.isfinite(self.position).all(2) & (self.weight > 0)
+
+    def whitener(self, first: int, last: int) -> Whitener:
+        """Whitening of frames [first, last)."""
+        key = (first, last)
+        if key not in self._whiteners:
+            self._whiteners[key] = Whitener(self.noise, self.observed[first:last])
+        return self._whiteners[key]
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of one coordinate, everything included, root mean square over markers [m]."""
+        return float(np.sqrt(np.mean(self.noise.sigma**2) + np.mean(self.noise.common_sigma**2)))
+
+    def without(self, markers: np.ndarray) -> Observation:
+        """The same measurement with (M,) bool markers left out."""
+        return Observation(self.position, self.noise, np.where(markers, 0.0, self.weight))
+
+
+def observe(recording: Sequence, attachment: Attachment) -> Observation:
+    """The markers of a sequence; noise from markers that cannot move, else as stated.
+
+    Markers cannot move before a release, or where they sit on what is held: there the hold's own motion
+    is taken off. Raises ValueError for a sequence without markers.
+    """
+    markers = recording.markers
+    if markers is None:
+        raise ValueError(f"sequence '{recording.name}' has no markers")
+    position = np.asarray(markers.position, float)
+    rest, what = None, ""
+    if recording.release is not None and recording.release >= 20:
+        # The last two frames may already move: the release is uncertain by that much.
+        rest = position[: recording.release - 2]
+        rest = rest - np.nanmean(rest, axis=0)
+        what = "markers before the release"
+    else:
+        held = attachment.hold >= 0
+        if held.any():
+            times = np.arange(recording.frames) / recording.fps
+            rest = np.full_like(position[:, held], np.nan)
+            index = np.flatnonzero(held)
+            for h, hold in enumerate(recording.held):
+                mine = attachment.hold[index] == h
+                rotation, shift = hold.poses(times, recording.fps)
+                at = (attachment.anchor + attachment.offset)[index[mine]]
+                rest[:, mine] = position[:, index[mine]] - np.einsum("tij,mj->tmi", rotation, at) - shift[:, None]
+            what = "markers on what is held"
+    sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
+    if rest is None or rest.shape[1] == 0:
+        noise = NoiseModel.white(sigma, "stated sigma, taken as white")
+    else:
+        noise = noise_from_rest(rest, sigma, what=what)
+        if noise.sigma.ndim and rest.shape[1] != position.shape[1]:
+            # Learnt on some markers: all others get the typical one.
+            noise = NoiseModel(
+                sigma=np.asarray(np.median(noise.sigma)),
+                source=noise.source,
+                correlated_share=np.asarray(np.median(noise.correlated_share)),
+                correlation=noise.correlation,
+                common_sigma=noise.common_sigma,
+                common_correlation=noise.common_correlation,
+                scale_degrees=noise.scale_degrees,
+            )
+    return Observation(position, noise, np.ones(position.shape[1]))

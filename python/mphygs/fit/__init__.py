@@ -1,0 +1,1 @@
+"""Fit materials and effects to a capture: residuals, schedule, optimisers, resume."""

@@ -1,0 +1,122 @@
+"""Levenberg-Marquardt on tangents, with bounds: the fast way when unknowns number in the tens.
+
+Source: Nocedal & Wright, Numerical Optimization, section 10.3; scaling by the diagonal of J^T J
+after More, "The Levenberg-Marquardt algorithm: implementation and theory", 1978.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.fit.problem import Evaluation, Problem
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """belief: at the minimum; evaluation: there, with Jacobian; history: cost after every iteration."""
+
+    belief: Belief
+    evaluation: Evaluation
+    history: tuple[float, ...]
+    converged: bool
+    reason: str
+
+
+def _bounded_step(belief: Belief, normal: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Solve normal * step = -gradient with the coordinates kept in their bounds.
+
+    A coordinate whose step leads out of its bound is put there and taken out of the system; the
+    system is small, so this is repeated until none is left.
+    """
+    free = belief.free
+    now = belief.coordinates
+    low, high = (
+        np.array([np.log(b) if p.log else b / p.scale for p, b in zip(free, bounds, strict=True)])
+        for bounds in ([p.lower for p in free], [p.upper for p in free])
+    )
+    step = np.zeros(len(now))
+    active = np.zeros(len(now), bool)
+    for _ in range(len(now) + 1):
+        inside = ~active
+        if not inside.any():
+            break
+        right = -gradient[inside] - normal[np.ix_(inside, active)] @ step[active]
+        step[inside] = np.linalg.lstsq(normal[np.ix_(inside, inside)], right, rcond=1e-13)[0]
+        out = inside & ((now + step < low - 1e-12) | (now + step > high + 1e-12))
+        if not out.any():
+            break
+        step[out] = np.clip(now + step, low, high)[out] - now[out]
+        active |= out
+    return step
+
+
+def minimise(
+    problem: Problem,
+    belief: Belief,
+    *,
+    iterations: int = 20,
+    tolerance: float = 1e-3,
+    longest_step: float = 1.5,
+    report: Callable[[int, Evaluation, Belief], None] | None = None,
+) -> Solution:
+    """Minimise half the sum of squares of a problem over the free parameters of a belief.
+
+    tolerance: stop when the next step promises less than this drop of the cost (in units of half a
+    squared standard deviation) and less than 1e-6 of it; longest_step: of any logarithm in one iteration.
+    Raises SimulationError when even the starting belief cannot be simulated.
+    """
+    current = problem.evaluate(belief)
+    history = [current.cost]
+    damping, reason, converged = 1e-3, "iterations used up", False
+    if report:
+        report(0, current, belief)
+    for iteration in range(1, iterations + 1):
+        normal = current.jacobian.T @ current.jacobian
+        gradient = current.jacobian.T @ current.residual
+        diagonal = np.maximum(np.diag(normal), 1e-12)
+        accepted = False
+        for _ in range(10):
+            step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
+            largest = np.abs(step).max(initial=0.0)
+            logs = np.array([p.log for p in belief.free])
+            if logs.any() and np.abs(step[logs]).max() > longest_step:
+                step *= longest_step / np.abs(step[logs]).max()
+            promised = -float(gradient @ step + 0.5 * step @ normal @ step)
+            if largest == 0.0 or promised < tolerance + 1e-6 * current.cost:
+                converged, reason = True, "converged"
+                break
+            trial_belief = belief.at(belief.coordinates + step)
+            try:
+                trial = problem.evaluate(trial_belief, jacobian=False)
+            except SimulationError:
+                damping = max(damping, 1e-3) * 10.0
+                continue
+            ratio = (current.cost - trial.cost) / promised
+            if ratio > 1e-3:
+                accepted = True
+                damping = max(damping / (10.0 if ratio > 0.7 else 2.0), 1e-9)
+                break
+            damping = max(damping, 1e-4) * 8.0
+        if converged:
+            break
+        if not accepted:
+            reason = "no step lowers the cost"
+            converged = True
+            break
+        belief = trial_belief
+        current = problem.evaluate(belief)
+        history.append(current.cost)
+        if report:
+            report(iteration, current, belief)
+    return Solution(belief, current, tuple(history), converged, reason)
+
+
+def covariance(evaluation: Evaluation) -> np.ndarray:
+    """Covariance of the free coordinates at a minimum, (P, P), priors included."""
+    normal = evaluation.jacobian.T @ evaluation.jacobian
+    return np.linalg.pinv(normal, rcond=1e-14, hermitian=True)

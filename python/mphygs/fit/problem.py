@@ -1,0 +1,122 @@
+"""The residuals of a fit: whitened markers of several sequences, priors, known mass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mphygs.capture.format import Capture
+from mphygs.compare.noise import Observation
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.prediction import Predictor, Settings
+
+# Relative accuracy to which a stated mass of the whole object is held.
+MASS_TOLERANCE = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Whitened residual (N,), Jacobian (N, P) by the free coordinates, and where the rows come from."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    data_rows: int
+    rows: dict[str, slice]
+    positions: dict[str, np.ndarray]
+    substeps: int
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares, priors included."""
+        return 0.5 * float(self.residual @ self.residual)
+
+    @property
+    def chi_square(self) -> float:
+        """Sum of squares of the measured rows."""
+        r = self.residual[: self.data_rows]
+        return float(r @ r)
+
+
+@dataclass(eq=False)
+class Problem:
+    """Residuals of one capture at one spacing.
+
+    ranges: sequence name -> (first, last) frames to use; predictors are built once and shared.
+    """
+
+    capture: Capture
+    settings: Settings
+    ranges: Mapping[str, tuple[int, int]]
+    observations: Mapping[str, Observation]
+    predictors: dict[str, Predictor] = field(default_factory=dict)
+    substep: float | None = None
+
+    def __post_init__(self) -> None:
+        bodies: dict[bytes, object] = {}
+        for name in self.ranges:
+            if name in self.predictors:
+                continue
+            recording = self.capture.sequence(name)
+            boxes = b"".join(np.asarray(hold.box, float).tobytes() for hold in recording.held)
+            predictor = Predictor(self.capture, recording, self.settings, body=bodies.get(boxes))
+            bodies[boxes] = predictor.body
+            self.predictors[name] = predictor
+
+    def narrowed(self, share: float) -> Problem:
+        """The same problem on the first share of every range's frames, at least eight of them."""
+        ranges = {n: (a, min(b, a + max(8, int(round(share * (b - a)))))) for n, (a, b) in self.ranges.items()}
+        return Problem(self.capture, self.settings, ranges, self.observations, self.predictors, self.substep)
+
+    def with_ranges(self, ranges: Mapping[str, tuple[int, int]]) -> Problem:
+        """The same problem on other frames; sequences that are new get their predictors."""
+        return Problem(self.capture, self.settings, ranges, self.observations, dict(self.predictors), self.substep)
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        """Residuals (measured - predicted, whitened) and their Jacobian.
+
+        Raises SimulationError where a run is unstable or the rest shape cannot be solved for.
+        """
+        free = belief.free
+        keys = tuple(p.key for p in free) if jacobian else ()
+        residuals, jacobians, rows, positions, substeps, count = [], [], {}, {}, 0, 0
+        for name, (first, last) in self.ranges.items():
+            prediction = self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep)
+            observation = self.observations[name]
+            window = slice(first, last)
+            whitener = observation.whitener(first, last)
+            difference = np.nan_to_num(observation.position[window] - prediction.position[window])
+            residuals.append(whitener.whiten(difference))
+            if jacobian:
+                jacobians.append(-whitener.whiten(prediction.jacobian[window]))
+            rows[name] = slice(count, count + len(residuals[-1]))
+            count += len(residuals[-1])
+            positions[name] = prediction.position
+            substeps += prediction.substeps
+        prior = np.array([p.prior_residual for p in free]).reshape(-1, 2)
+        residual = np.concatenate([*residuals, prior[:, 0]])
+        full = np.zeros((len(residual), len(free)))
+        if jacobian and jacobians:
+            full[:count] = np.concatenate(jacobians)
+        full[count:] = np.diag(prior[:, 1])
+        residual, full = self._with_mass(belief, residual, full)
+        if not np.isfinite(residual).all():
+            raise SimulationError("the prediction is not finite")
+        return Evaluation(residual, full, count, rows, positions, substeps)
+
+    def _with_mass(self, belief: Belief, residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The stated mass of the whole object as one more measurement."""
+        if belief.known_mass is None:
+            return residual, jacobian
+        volume = {part.name: part.volume for part in self.capture.parts}
+        masses = {name: belief[f"{name}.density"].value * volume[name] for name in belief.parts}
+        scale = 1.0 / (MASS_TOLERANCE * belief.known_mass)
+        row = np.array(
+            [
+                masses[p.key.rsplit(".", 1)[0]] * scale if p.key.endswith(".density") and p.key.rsplit(".", 1)[0] in masses else 0.0
+                for p in belief.free
+            ]
+        )
+        return np.append(residual, (sum(masses.values()) - belief.known_mass) * scale), np.vstack([jacobian, row])

@@ -1,0 +1,80 @@
+"""The belief that a fit starts from: what the capture knows, and wide priors for the rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mphygs.capture.format import Capture
+from mphygs.model.belief import Belief, Parameter
+
+# Soft tissue and plants to hard rubber; a prior this wide moves no number that the data determine.
+YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD = 1e5, 2.5
+DENSITY_SPREAD = 0.7
+DEFAULT_POISSONS_RATIO = 0.4
+DEFAULT_DENSITY = 1000.0
+# How far the true start of a motion may be from the stated release [frames].
+RELEASE_FRAMES = 2.0
+
+
+def starting_belief(capture: Capture, *, effects: tuple[str, ...] = (), prestress: str | None = None, law: str = "neo-hookean") -> Belief:
+    """Materials of every part, free where the capture does not know them, and the named effects.
+
+    prestress: off, paper or equilibrium; None takes equilibrium for a capture whose rest says so.
+    Raises ValueError for a capture without parts.
+    """
+    if not capture.parts:
+        raise ValueError(f"capture '{capture.name}': expected parts given as meshes")
+    known = capture.known
+    volume = {part.name: part.volume for part in capture.parts}
+    guess = DEFAULT_DENSITY
+    if known.density:
+        guess = float(np.mean(list(known.density.values())))
+    if known.mass is not None:
+        rest = known.mass - sum(known.density[n] * volume[n] for n in known.density)
+        free_volume = sum(v for n, v in volume.items() if n not in known.density)
+        if free_volume > 0 and rest > 0:
+            guess = rest / free_volume
+    parameters = []
+    for part in capture.parts:
+        ratio = known.poissons_ratio
+        if isinstance(ratio, dict):
+            ratio = ratio.get(part.name)
+        parameters += [
+            Parameter(
+                f"{part.name}.youngs_modulus", YOUNGS_MODULUS_MEDIAN, "Pa", 1e2, 1e9, log=True,
+                prior_mean=math.log(YOUNGS_MODULUS_MEDIAN), prior_std=YOUNGS_MODULUS_SPREAD,
+            ),
+            Parameter(
+                f"{part.name}.density", known.density.get(part.name, guess), "kg/m^3", 1.0, 3e4, log=True,
+                free=part.name not in known.density, prior_mean=math.log(guess), prior_std=DENSITY_SPREAD,
+            ),
+            Parameter(f"{part.name}.poissons_ratio", DEFAULT_POISSONS_RATIO if ratio is None else ratio, "-", 0.0, 0.4995, free=False),
+        ]  # fmt: skip
+    for recording in capture.sequences:
+        if recording.release is not None:
+            frame = 1.0 / recording.fps
+            earliest = -min(RELEASE_FRAMES, recording.release) * frame
+            parameters.append(
+                Parameter(
+                    f"{recording.name}.release_shift", 0.0, "s", earliest, RELEASE_FRAMES * frame,
+                    prior_mean=0.0, prior_std=frame, scale=frame,
+                )
+            )  # fmt: skip
+    mode = prestress or ("equilibrium" if capture.rest == "equilibrium" else "off")
+    belief = Belief(
+        tuple(part.name for part in capture.parts), np.asarray(capture.gravity, float), tuple(parameters),
+        prestress=mode, law=law, known_mass=known.mass,
+    )  # fmt: skip
+    for name in effects:
+        belief = with_effect(belief, name)
+    return belief
+
+
+def with_effect(belief: Belief, name: str) -> Belief:
+    """An effect with sensible starting values; effects that need a place or direction get it elsewhere."""
+    if name == "compressibility":
+        ratios = [belief[f"{part}.poissons_ratio"].value for part in belief.parts]
+        return belief.with_effect(name, {"nu": float(np.mean(ratios))})
+    return belief.with_effect(name)

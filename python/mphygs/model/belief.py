@@ -1,0 +1,171 @@
+"""What is believed of an object: its materials and effects, as named numbers with bounds and priors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mphygs.model.registry import effect
+
+PRESTRESS_MODES = ("off", "paper", "equilibrium")
+LAWS = ("neo-hookean", "fixed-corotated")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number. key: "<part>.youngs_modulus" or "<effect>.<parameter>".
+
+    value, lower, upper: in `unit`; log: fitted in its logarithm; free: fitted at all;
+    prior_std: standard deviation about `prior_mean`, of the logarithm where log (inf: none);
+    scale: a usual size of the change of a parameter that is not in logarithms.
+    """
+
+    key: str
+    value: float
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    log: bool = False
+    free: bool = True
+    prior_mean: float = 0.0
+    prior_std: float = math.inf
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.value <= self.upper:
+            raise ValueError(f"{self.key} = {self.value} {self.unit}: expected {self.lower} to {self.upper}")
+        if self.log and self.lower <= 0:
+            raise ValueError(f"{self.key}: a parameter in logarithms needs a positive lower bound")
+
+    @property
+    def coordinate(self) -> float:
+        """The number that optimisers see: ln(value), or value / scale."""
+        return math.log(self.value) if self.log else self.value / self.scale
+
+    def at(self, coordinate: float) -> Parameter:
+        """This parameter moved to a coordinate, kept within its bounds."""
+        value = math.exp(min(coordinate, 700.0)) if self.log else coordinate * self.scale
+        return replace(self, value=float(min(max(value, self.lower), self.upper)))
+
+    @property
+    def slope(self) -> float:
+        """d value / d coordinate."""
+        return self.value if self.log else self.scale
+
+    @property
+    def prior_residual(self) -> tuple[float, float]:
+        """Residual of the prior and its derivative by the coordinate; (0, 0) without one."""
+        if not math.isfinite(self.prior_std):
+            return 0.0, 0.0
+        deviation = math.log(self.value) - self.prior_mean if self.log else self.value - self.prior_mean
+        return deviation / self.prior_std, (1.0 if self.log else self.scale) / self.prior_std
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect in a model, with the constants that place or direct it.
+
+    settings: "place" (3,) [m] for effects at a place, "part" name and "axis" (3,) for gradients.
+    """
+
+    name: str
+    settings: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Materials and effects of one object. Free parameters keep the order of `parameters`."""
+
+    parts: tuple[str, ...]
+    gravity: np.ndarray
+    parameters: tuple[Parameter, ...]
+    terms: tuple[Term, ...] = ()
+    prestress: str = "off"
+    law: str = "neo-hookean"
+    known_mass: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.prestress not in PRESTRESS_MODES:
+            raise ValueError(f"prestress '{self.prestress}': expected one of {', '.join(PRESTRESS_MODES)}")
+        if self.law not in LAWS:
+            raise ValueError(f"law '{self.law}': expected one of {', '.join(LAWS)}")
+        keys = [p.key for p in self.parameters]
+        if len(set(keys)) != len(keys):
+            raise ValueError("parameter keys must be unique")
+
+    def __getitem__(self, key: str) -> Parameter:
+        for parameter in self.parameters:
+            if parameter.key == key:
+                return parameter
+        raise KeyError(key)
+
+    def __contains__(self, key: str) -> bool:
+        return any(parameter.key == key for parameter in self.parameters)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.free)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return tuple(term.name for term in self.terms)
+
+    def term(self, name: str) -> Term:
+        for term in self.terms:
+            if term.name == name:
+                return term
+        raise KeyError(name)
+
+    @property
+    def coordinates(self) -> np.ndarray:
+        """(P,) of the free parameters."""
+        return np.array([p.coordinate for p in self.free])
+
+    def at(self, coordinates: np.ndarray) -> Belief:
+        """This belief with the free parameters moved to (P,) coordinates."""
+        moved = iter(coordinates)
+        return replace(self, parameters=tuple(p.at(float(next(moved))) if p.free else p for p in self.parameters))
+
+    def with_parameter(self, key: str, **changes: object) -> Belief:
+        """This belief with one parameter changed. Raises KeyError when there is none of that key."""
+        _ = self[key]
+        return replace(self, parameters=tuple(replace(p, **changes) if p.key == key else p for p in self.parameters))
+
+    def with_effect(
+        self, name: str, values: Mapping[str, float] | None = None, settings: Mapping[str, object] | None = None
+    ) -> Belief:
+        """This belief with an effect added; its fitted parameters become free.
+
+        values: starting values of any of its parameters; the rest start at their null.
+        Raises KeyError for an unknown effect, ValueError when it is there already.
+        """
+        spec = effect(name)
+        if name in self.effects:
+            raise ValueError(f"effect '{name}' is in the model already")
+        if name == "prestress":
+            return replace(self, prestress="equilibrium")
+        added = []
+        for p in spec.parameters:
+            value = float((values or {}).get(p.name, p.null))
+            log = p.fitted and p.null != 0.0 and p.lower > 0.0
+            added.append(
+                Parameter(
+                    f"{name}.{p.name}", value, p.unit, p.lower, p.upper, log=log, free=p.fitted, scale=p.scale,
+                    prior_mean=math.log(p.null) if log else 0.0, prior_std=3.0 if log else math.inf,
+                )
+            )  # fmt: skip
+        return replace(
+            self, parameters=self.parameters + tuple(added), terms=(*self.terms, Term(name, dict(settings or {})))
+        )
+
+    def without_effect(self, name: str) -> Belief:
+        """This belief with an effect taken away."""
+        _ = self.term(name)
+        return replace(
+            self,
+            parameters=tuple(p for p in self.parameters if not p.key.startswith(f"{name}.")),
+            terms=tuple(t for t in self.terms if t.name != name),
+        )

@@ -1,0 +1,1 @@
+"""The forward model and its derivatives: discretised bodies, rollouts, the torch op."""

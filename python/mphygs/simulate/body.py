@@ -1,0 +1,250 @@
+"""An object discretised for the total-Lagrangian transfer, with what holds it and what is seen of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from mphygs import _core
+from mphygs.capture.format import Capture
+from mphygs.capture.record import Sequence
+from mphygs.scene.slivers import merge_slivers
+from mphygs.scene.particles import Quadrature, closest_material, exposed_surface, fill, hold_face
+
+LANES = 8
+# Cells filled less than this hand their material to a neighbour.
+SMALLEST_SHARE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Attachment:
+    """Points carried by the body: x = anchor + sum N_a u_a + R offset, or rigidly by a hold.
+
+    anchor: (M, 3) [m]; offset: (M, 3) [m]; cell: (M, 3) knot span; hold: (M,) index of the hold that
+    carries the point, -1 for points carried by the material.
+    """
+
+    anchor: np.ndarray
+    offset: np.ndarray
+    cell: np.ndarray
+    hold: np.ndarray
+    part: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One object at one spacing under one set of hold boxes.
+
+    geometry: arrays for the core; quadrature: its points; centroid: (P, 3) of every part [m];
+    places: (K, 3) material points that effects at a place may use [m].
+    """
+
+    quadrature: Quadrature
+    geometry: dict
+    boxes: np.ndarray
+    part_names: tuple[str, ...]
+    centroid: np.ndarray
+    parts: tuple = field(repr=False, default=())
+
+    @property
+    def block_count(self) -> int:
+        return len(self.quadrature.part)
+
+    @property
+    def point_part(self) -> np.ndarray:
+        """(B, 8) part index of every point."""
+        return np.repeat(self.quadrature.part[:, None], LANES, axis=1)
+
+    @cached_property
+    def active_cells(self) -> np.ndarray:
+        """(C, 3) knot spans that hold material, unique."""
+        return np.unique(self.quadrature.cell, axis=0)
+
+    def nearest_cell(self, points: np.ndarray) -> np.ndarray:
+        """Knot span with material nearest to each point. points: (M, 3) [m] -> (M, 3) int32.
+
+        A point beside the material (on the surface, in a cell whose sliver was dropped) is carried by
+        the polynomial of the nearest cell.
+        """
+        spacing, origin = self.quadrature.spacing, self.quadrature.origin
+        cells = self.active_cells
+        position = (points - origin) / spacing
+        result = np.empty((len(points), 3), np.int32)
+        for start in range(0, len(points), 2048):
+            chunk = position[start : start + 2048]
+            # Distance to the span itself, not to its centre; ties go to the nearer centre.
+            gap = np.abs(chunk[:, None] - cells[None])
+            distance = (np.maximum(gap - 0.5, 0.0) ** 2).sum(-1) + 1e-6 * (gap**2).sum(-1)
+            result[start : start + 2048] = cells[distance.argmin(1)]
+        return result
+
+    def attach(self, points: np.ndarray) -> Attachment:
+        """Attach measured points given at rest, (M, 3) [m]."""
+        material = closest_material(self.parts, points)
+        part, anchor, offset = material.part, material.anchor, material.offset
+        hold = np.full(len(points), -1)
+        for index, box in enumerate(self.boxes):
+            hold[((anchor >= box[0] - 1e-9) & (anchor <= box[1] + 1e-9)).all(1)] = index
+        return Attachment(anchor, offset, self.nearest_cell(anchor), hold, part)
+
+
+def hold_boxes(sequence: Sequence) -> np.ndarray:
+    """(H, 2, 3) boxes of what holds the object in a sequence [m]."""
+    return np.array([hold.box for hold in sequence.held]).reshape(-1, 2, 3)
+
+
+def discretise(capture: Capture, boxes: np.ndarray, spacing: float, *, places: np.ndarray | None = None) -> Body:
+    """Discretise a capture's parts for given hold boxes.
+
+    boxes: (H, 2, 3) [m]; spacing: of the grid [m]; places: (K, 3) points for effects at a place [m].
+    Raises ValueError where a hold touches no free material or the spacing misses a part.
+    """
+    parts = capture.parts
+    faces = [hold_face(parts, box, spacing=spacing) for box in boxes]
+    low = np.min([part.vertices.min(0) for part in parts], axis=0)
+    # A held face on the boundary between two cells leaves no slivers of material beside it.
+    offset = np.zeros(3)
+    for group in faces:
+        for face in group:
+            offset[face.axis] = ((face.coordinate - low[face.axis]) / spacing) % 1.0
+    quadrature = fill(parts, spacing=spacing, exclude_boxes=boxes if len(boxes) else None, origin_offset=offset)
+    quadrature = merge_slivers(quadrature, share=SMALLEST_SHARE)
+    centroid = np.array(
+        [
+            np.average(
+                quadrature.points[quadrature.part == p].reshape(-1, 3),
+                axis=0,
+                weights=quadrature.volumes[quadrature.part == p].ravel(),
+            )
+            if (quadrature.part == p).any()
+            else part.vertices.mean(0)
+            for p, part in enumerate(parts)
+        ]
+    )
+    geometry = {
+        "origin": quadrature.origin,
+        "spacing": quadrature.spacing,
+        "cell": quadrature.cell,
+        "part": quadrature.part,
+        "points": quadrature.points,
+        "part_count": len(parts),
+    }
+    body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
+    geometry.update(_surface(body, boxes, spacing))
+    geometry.update(_constraints(body, faces))
+    if places is not None and len(places):
+        geometry["places"] = np.asarray(places, float)
+        geometry["place_cell"] = body.nearest_cell(np.asarray(places, float))
+    return body
+
+
+def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
+    """Samples of the exposed surface, eight to a block, all in one cell; empty lanes have no area."""
+    samples = exposed_surface(body.parts, max_edge=spacing / 2, exclude_boxes=boxes if len(boxes) else None)
+    if not len(samples.area):
+        return {}
+    cells = body.nearest_cell(samples.points)
+    order = np.lexsort(cells.T[::-1])
+    points, area, cells = samples.points[order], samples.area[order], cells[order]
+    first = np.flatnonzero(np.r_[True, (cells[1:] != cells[:-1]).any(1)])
+    counts = np.diff(np.r_[first, len(cells)])
+    block_cell, block_points, block_area = [], [], []
+    for start, count in zip(first, counts, strict=True):
+        for k in range(start, start + count, LANES):
+            stop = min(k + LANES, start + count)
+            p = np.repeat(points[k : k + 1], LANES, axis=0)
+            a = np.zeros(LANES)
+            p[: stop - k], a[: stop - k] = points[k:stop], area[k:stop]
+            block_cell.append(cells[k])
+            block_points.append(p)
+            block_area.append(a)
+    return {
+        "surface_cell": np.array(block_cell, np.int32),
+        "surface_points": np.array(block_points),
+        "surface_area": np.array(block_area),
+    }
+
+
+def _spline(s: float) -> np.ndarray:
+    return np.array([0.5 * (0.5 - s) ** 2, 0.75 - s * s, 0.5 * (0.5 + s) ** 2])
+
+
+def _constraints(body: Body, faces: list) -> dict:
+    """Rows of the holds: the trace of the spline on every held face moves with the hold.
+
+    On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
+    is reproduced when each coefficient equals the motion of its Greville point, the column's place
+    in the plane.
+    """
+    q = body.quadrature
+    nodes = {tuple(c + d) for c in body.active_cells for d in np.indices((3, 3, 3)).reshape(3, -1).T - 1}
+    begin, node, weight, target, hold = [0], [], [], [], []
+    for index, group in enumerate(faces):
+        rows = 0
+        for face in group:
+            across = [a for a in range(3) if a != face.axis]
+            position = (face.points - q.origin) / q.spacing
+            base = np.rint(position).astype(int)
+            height = (face.coordinate - q.origin[face.axis]) / q.spacing[face.axis]
+            share: dict[tuple[int, int], float] = {}
+            for p, b, area in zip(position, base, face.area, strict=True):
+                w0, w1 = _spline(p[across[0]] - b[across[0]]), _spline(p[across[1]] - b[across[1]])
+                for i in range(3):
+                    for j in range(3):
+                        key = (b[across[0]] + i - 1, b[across[1]] + j - 1)
+                        share[key] = share.get(key, 0.0) + area * w0[i] * w1[j]
+            full = q.spacing[across[0]] * q.spacing[across[1]]
+            for key, area in sorted(share.items()):
+                if area < 1e-4 * full:
+                    continue
+                stencil = _column(nodes, face.axis, across, key, height)
+                if stencil is None:
+                    continue
+                span, column = stencil
+                node += column
+                weight += _spline(height - span).tolist()
+                begin.append(len(weight))
+                greville = np.empty(3)
+                greville[face.axis] = face.coordinate
+                greville[across] = q.origin[across] + np.array(key) * q.spacing[across]
+                target.append(greville)
+                hold.append(index)
+                rows += 1
+        if rows == 0:
+            raise ValueError(
+                f"hold {index}: its box {body.boxes[index].tolist()} has no face with free material beyond it, "
+                "expected a box that holds a part of the object and leaves the rest free"
+            )
+    return {
+        "row_begin": np.array(begin, np.int32),
+        "row_node": np.array(node, np.int32).reshape(-1, 3),
+        "row_weight": np.array(weight, float),
+        "row_target": np.array(target, float).reshape(-1, 3),
+        "row_hold": np.array(hold, np.int32),
+        "hold_count": len(faces),
+    }
+
+
+def _column(nodes: set, axis: int, across: list[int], key: tuple[int, int], height: float) -> tuple | None:
+    """The span along `axis` nearest to `height` whose three nodes carry material, and these nodes."""
+    nearest = round(height)
+    for span in sorted(range(nearest - 1, nearest + 2), key=lambda s: abs(s - height)):
+        column = []
+        for k in (span - 1, span, span + 1):
+            index = [0, 0, 0]
+            index[axis], index[across[0]], index[across[1]] = k, key[0], key[1]
+            column.append(tuple(index))
+        if all(c in nodes for c in column):
+            return span, column
+    return None
+
+
+def core_model(body: Body, *, active: tuple[str, ...], dtype: type, law: str, threads: int, memory_budget: int) -> object:
+    """The compiled model of a body with given core effects switched on."""
+    kind = _core.TotalLagrangianFloat32 if dtype == np.float32 else _core.TotalLagrangianFloat64
+    settings = {"active": list(active), "law": law, "threads": threads, "memory_budget": memory_budget}
+    extent = float(np.linalg.norm(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0)))
+    settings["displacement_limit"] = 100.0 * extent + 100.0
+    return kind(body.geometry, settings)

@@ -1,0 +1,101 @@
+"""The stress-free shape of an object published in equilibrium, with derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mphygs import _core
+from mphygs.model.belief import Belief, Parameter
+from mphygs.model.registry import effect
+from mphygs.simulate.body import Body
+from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, direction, places, primal
+
+
+class RestShape:
+    """Solves for the stress-free state of one body and keeps the last solution to start from.
+
+    Not to be shared between threads: each solution replaces the factorisation.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._body = body
+        self._key: object = None
+        self._solver: object = None
+        self._model: object = None
+        self._solution: dict | None = None
+        self._coordinates: bytes | None = None
+
+    def _prepare(self, belief: Belief) -> Belief:
+        rest = at_rest(belief)
+        active = tuple(
+            n for n in core_effects(rest) if n in STATIC_EFFECTS or effect(n).site == "volume" and n != "prestress"
+        )
+        spots = places(rest)
+        key = (active, rest.law, spots.tobytes())
+        if key != self._key:
+            geometry = dict(self._body.geometry)
+            if len(spots):
+                geometry |= {"places": spots, "place_cell": self._body.nearest_cell(spots)}
+            self._model = _core.TotalLagrangianFloat64(geometry, {"active": list(active), "law": rest.law})
+            start = None if self._solution is None else self._solution["map"]
+            self._solver = _core.Equilibrium(self._model)
+            self._key, self._start = key, start
+            self._coordinates = None
+        return rest
+
+    def _load(self, fields: dict[str, np.ndarray]) -> np.ndarray:
+        """External force on the nodes at rest, (N, 3) [N]."""
+        return self._model.node_mass(fields)[:, None] * fields["gravity"] + self._model.rest_forces(fields)
+
+    def solve(self, belief: Belief) -> dict[str, np.ndarray]:
+        """deformation0 (B, 9, 8) and volume_ratio (B, 8) of the stress-free state.
+
+        Raises SimulationError where the object cannot carry its weight in the published shape.
+        """
+        rest = self._prepare(belief)
+        fields = primal(rest, self._body)
+        load = self._load(fields)
+        # At a growing strain the rest state is that of time zero: nothing has grown yet.
+        signature = np.concatenate([fields["mu"].ravel(), fields["lambda"].ravel(), load.ravel(), fields["effect"]]).tobytes()
+        if signature != self._coordinates:
+            start = self._solution["map"] if self._solution is not None else np.zeros(0)
+            try:
+                self._solution = self._solver.solve(fields, self._body.quadrature.volumes, load, start)
+            except Exception:
+                if not len(start):
+                    raise
+                self._solution = self._solver.solve(fields, self._body.quadrature.volumes, load, np.zeros(0))
+            self._coordinates = signature
+        return self._solution
+
+    def tangent(self, belief: Belief, parameters: Sequence[Parameter]) -> list[dict[str, np.ndarray]]:
+        """Derivatives of deformation0 and volume_ratio by the coordinates of parameters."""
+        self.solve(belief)
+        rest = at_rest(belief)
+        fields = primal(rest, self._body)
+        load = self._load(fields)
+        zero = np.zeros((load.shape[0], 3))
+        directions = []
+        for parameter in parameters:
+            owner = parameter.key.rsplit(".", 1)[0]
+            if owner not in self._body.part_names and owner not in rest.effects:
+                directions.append(({}, zero))
+                continue
+            try:
+                change = direction(rest, self._body, parameter)
+            except KeyError:
+                directions.append(({}, zero))
+                continue
+            # The load is linear in masses and strengths: one difference is its derivative.
+            step = 1e-3
+            moved = {k: v + step * change[k] if k in change else v for k, v in fields.items()}
+            slope = (self._load(moved) - load) / step
+            inner = {k: change[k] for k in ("mu", "lambda", "effect") if k in change}
+            directions.append((inner, slope))
+        return self._solver.tangent(directions)
+
+    def adjoint(self, deformation0_bar: np.ndarray, volume_ratio_bar: np.ndarray) -> tuple[dict, np.ndarray]:
+        """Bars of (mu, lambda, effect) and of the node load for bars of the last solution."""
+        return self._solver.adjoint(deformation0_bar, volume_ratio_bar)
