@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from test_scene_particles import box, practice, solid, turned
+from test_scene_particles import box, practice, turned
 
 from mphygs.scene.closest import closest_on_mesh
 from mphygs.scene.particles import closest_material
