@@ -59,10 +59,11 @@ def test_nothing_is_gripped_through_the_own_surface_or_another_hold() -> None:
 
 
 def test_area_of_a_slanted_cylinder() -> None:
-    mesh = turned(trimesh.creation.cylinder(radius=0.012, height=0.1, sections=96))
+    mesh = turned(trimesh.creation.cylinder(radius=0.012, height=0.05, sections=64))
     axis = trimesh.transformations.rotation_matrix(0.7, [1.0, 2.0, -0.5])[:3, 2]
     level = mesh.center_mass[2]
-    (face,) = hold_face([solid(mesh)], np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, level]]), spacing=0.004)
+    # midpoints resolve a round section only as finely as their number allows
+    (face,) = hold_face([solid(mesh)], np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, level]]), spacing=0.0015)
     assert face.axis == 2
     assert face.area.sum() == pytest.approx(np.pi * 0.012**2 / axis[2], rel=5e-3)
 

@@ -4,5 +4,16 @@ from mphygs.scene.closest import MaterialAnchor, closest_material
 from mphygs.scene.holding import HoldFace, hold_face
 from mphygs.scene.quadrature import Quadrature, fill
 from mphygs.scene.rays import inside
+from mphygs.scene.surface import SurfaceSamples, exposed_surface
 
-__all__ = ["HoldFace", "MaterialAnchor", "Quadrature", "closest_material", "fill", "hold_face", "inside"]
+__all__ = [
+    "HoldFace",
+    "MaterialAnchor",
+    "Quadrature",
+    "SurfaceSamples",
+    "closest_material",
+    "exposed_surface",
+    "fill",
+    "hold_face",
+    "inside",
+]
