@@ -1,0 +1,121 @@
+"""The order of a fit: find the scale, follow the motion frame by frame, coarse grid first, then fine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.capture.format import Capture
+from mphygs.compare.noise import Observation
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.problem import Problem
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.prediction import Settings
+
+# Cells that an object of default spacing is worth: about 250 of its volume.
+DEFAULT_CELLS = 250
+COARSE_FACTOR = 1.5
+# Common factors on all Young's moduli that are tried before anything else.
+SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the schedule. share: of every range's frames; iterations: at most."""
+
+    name: str
+    spacing: float
+    share: float
+    iterations: int
+
+
+def default_spacing(capture: Capture) -> float:
+    """Grid spacing that gives about DEFAULT_CELLS full cells of material [m], two digits."""
+    volume = sum(part.volume for part in capture.parts)
+    spacing = (volume / DEFAULT_CELLS) ** (1.0 / 3.0)
+    digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)
+    return float(np.round(spacing / digits) * digits)
+
+
+def stages(spacing: float, *, warm: bool) -> tuple[Stage, ...]:
+    """Stages of a fit; a warm start knows the scale and needs the fine grid only."""
+    if warm:
+        return (Stage("fine", spacing, 1.0, 12),)
+    coarse = COARSE_FACTOR * spacing
+    return (
+        Stage("coarse, first quarter", coarse, 0.25, 8),
+        Stage("coarse, first half", coarse, 0.5, 8),
+        Stage("coarse", coarse, 1.0, 10),
+        Stage("fine", spacing, 1.0, 8),
+    )
+
+
+def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
+    """Move all free Young's moduli together to the factor that fits the first frames best."""
+    keys = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
+    best, best_cost = None, np.inf
+    # From stiff to soft: once a shape cannot carry itself, softer ones cannot either.
+    for scale in sorted(SCALES, reverse=True):
+        trial = belief
+        for key in keys:
+            trial = trial.with_parameter(key, value=belief[key].value * scale)
+        try:
+            cost = problem.evaluate(trial, jacobian=False).cost
+        except SimulationError:
+            break
+        if report:
+            report(f"scale {scale:.3g}: cost {cost:.4g}")
+        if cost < best_cost:
+            best, best_cost = trial, cost
+    if best is None:
+        raise SimulationError("no stiffness between 3 kPa and 3 MPa could be simulated from the start")
+    return best
+
+
+def fit_belief(
+    capture: Capture,
+    belief: Belief,
+    ranges: Mapping[str, tuple[int, int]],
+    observations: Mapping[str, Observation],
+    settings: Settings,
+    *,
+    warm: bool = False,
+    report: Callable[[str], None] | None = None,
+    after_stage: Callable[[Stage, Solution], None] | None = None,
+    start_stage: int = 0,
+    problems: dict[float, Problem] | None = None,
+) -> tuple[Solution, Problem]:
+    """Run the schedule from a belief. Returns the last stage's solution and problem.
+
+    ranges: frames to fit per sequence; settings.spacing is the fine spacing; warm: the belief is near its
+    minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here.
+    """
+    plan = stages(settings.spacing, warm=warm)
+    problems = {} if problems is None else problems
+    solution = None
+    for number, stage in enumerate(plan):
+        if number < start_stage:
+            continue
+        if stage.spacing not in problems:
+            own = Settings(stage.spacing, settings.safety, settings.workers, settings.dtype, settings.memory_budget)
+            problems[stage.spacing] = Problem(capture, own, ranges, observations)
+        problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
+        if number == 0 and not warm:
+            belief = find_scale(problem, belief, report)
+
+        def tell(iteration: int, evaluation, _belief, stage: Stage = stage) -> None:
+            if report:
+                rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
+                report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
+
+        solution = minimise(problem, belief, iterations=stage.iterations, report=tell, tolerance=0.05)
+        belief = solution.belief
+        problems[stage.spacing].predictors.update(problem.predictors)
+        if after_stage:
+            after_stage(stage, solution)
+    if solution is None:
+        raise ValueError("start_stage is beyond the last stage")
+    return solution, problem
