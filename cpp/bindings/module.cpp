@@ -5,6 +5,7 @@ namespace mphygs_python {
 void bind_registry(pybind11::module_& m);
 void bind_total_lagrangian(pybind11::module_& m);
 void bind_equilibrium(pybind11::module_& m);
+void bind_mls_mpm(pybind11::module_& m);
 }  // namespace mphygs_python
 
 PYBIND11_MODULE(_core, m) {
@@ -12,4 +13,5 @@ PYBIND11_MODULE(_core, m) {
     mphygs_python::bind_registry(m);
     mphygs_python::bind_total_lagrangian(m);
     mphygs_python::bind_equilibrium(m);
+    mphygs_python::bind_mls_mpm(m);
 }

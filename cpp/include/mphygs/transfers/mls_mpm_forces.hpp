@@ -113,6 +113,10 @@ class MlsForces {
     }
     T stress_scale() const { return dt_ * static_cast<T>(4.0 / (model_.geometry_.spacing * model_.geometry_.spacing)); }
     T dt() const { return dt_; }
+    /// First of the twelve numbers of a hold's pose before substep `step`.
+    std::size_t pose_index(std::size_t hold, int step) const {
+        return (hold * static_cast<std::size_t>(table_.count() + 1) + static_cast<std::size_t>(step)) * 12;
+    }
 
   private:
     template <class TT>
@@ -214,9 +218,6 @@ class MlsForces {
                 f(static_cast<int>(q), static_cast<std::size_t>(order.hold[first + q]), static_cast<std::size_t>(order.id[first + q]));
             }
         }
-    }
-    std::size_t pose_index(std::size_t hold, int step) const {
-        return (hold * static_cast<std::size_t>(table_.count() + 1) + static_cast<std::size_t>(step)) * 12;
     }
     T relaxation() const { return static_cast<T>(1.0 / model_.settings_.hold_relaxation) / dt_; }
 

@@ -44,7 +44,7 @@ class MlsForcesReverse {
                  MlsChunkSums& sums) {
         const MlsMpm<T>& model = forces_.model_;
         const P mass = forces_.column(order, order.mass, first);
-        const Vec3<P> force_bar = forces_.dt_ * given.momentum;
+        const Vec3<P> force_bar = broadcast<T>(forces_.dt_) * given.momentum;
         P mass_bar = given.mass + inner(given.affine, point.c);
         bar.c = bar.c + mass * given.affine;
 

@@ -139,12 +139,12 @@ class MlsMpmReverse {
         }
     }
 
-    /// Brings the bars into the order of a record.
+    /// Brings the bars into the order of a record. Orders of substeps without a sort between them
+    /// are equal, though they may be different objects.
     void follow(const std::shared_ptr<const MlsOrder<T>>& order) {
         if (order == bar_order_) {
             return;
         }
-        flush();
         const std::size_t n = order->size;
         std::vector<std::int32_t> place(n), from(n);
         for (std::size_t p = 0; p < n; ++p) {
@@ -178,6 +178,9 @@ class MlsMpmReverse {
     }
 
     void reverse_step(int n, const MlsState<T>& record) {
+        if ((n + 1) % model_.settings_.sort_interval == 0) {  // never by what was recomputed: same bits
+            flush();
+        }
         follow(record.order);
         const bool forces = n + 1 < table_.count();
         if (forces) {
@@ -306,99 +309,112 @@ class MlsMpmReverse {
         }
     }
 
-    /// The initial scatter, and C_0 gathered from the bare velocities; record: state 0.
+    /// The initial scatter, and the rounds that found C_0, backwards; record: state 0.
     void reverse_start(const MlsState<T>& record) {
         const std::size_t size = record.order->size, count = model_.particle_count();
         v_bar_.assign(3 * size, T{});
-        run_.forces_.refresh(0);
-        clear_sums();
-        // The bare velocities once more.
-        MlsState<T> bare = record;
-        std::fill(bare.history.begin(), bare.history.end(), T{});
-        run_.state_ = bare;
+        // The rounds once more: the grid and C before each of them.
+        run_.state_ = record;
+        std::fill(run_.state_.history.begin(), run_.state_.history.end(), T{});
+        const std::vector<T> no_history = run_.state_.history;
         run_.start_velocity_.assign(3 * size, T{});
+        run_.start_affine_.assign(9 * size, T{});
         for (std::size_t p = 0; p < size; ++p) {
             const std::size_t i = std::min(static_cast<std::size_t>(record.order->id[p]), count - 1);
             for (std::size_t c = 0; c < 3 && !fields_.velocity0.empty(); ++c) {
                 run_.start_velocity_[c * size + p] = fields_.velocity0[3 * i + c];
             }
         }
-        run_.grids_.prepare(record.box, record.ranges);
-        for (int c = 0; c < model_.chunk_count_; ++c) {
-            run_.start_chunk(static_cast<std::size_t>(c), record.box, false);
+        std::vector<std::vector<T>> grid, affine;
+        for (int round = 0; round < Run::start_rounds; ++round) {
+            run_.start_round(record.box, round > 0, false);
+            grid.push_back(run_.state_.grid);
+            affine.push_back(run_.start_affine_);
         }
-        run_.grids_.reduce(record.box, record.ranges, 1, bare.grid);
-
-        const std::vector<T> no_history = bare.history;
-        const auto start = [&](std::size_t p) {
-            ParticlePoint<P> point = load_particles(record.x, record.f, size, p);
-            for (std::size_t c = 0; c < 3; ++c) {
-                point.v[static_cast<int>(c)] = load<T>(&run_.start_velocity_[c * size + p]);
+        // The real scatter, with C_0 from the last of them.
+        c_bar_.assign(9 * size, T{});
+        run_.forces_.refresh(0);
+        clear_sums();
+        start_tiles(record, [&](std::size_t c, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
+            gather<T, 0>(tile, grid.back().data(), 0, model_.axis_, record.box);
+            for (int k = 0; k < tile_packs; ++k) {
+                points[k].c = run_.affine_velocity(tile.n[k]);
+                add_seeds(0, *record.order, t + static_cast<std::size_t>(k * lane_count), bars[k]);
             }
-            return point;
-        };
-        grids_.prepare(record.box, record.ranges);
-        for (int chunk = 0; chunk < model_.chunk_count_; ++chunk) {
-            const std::size_t c = static_cast<std::size_t>(chunk);
+            reverse_given(c, t, *record.order, points, no_history.data(), bars);
+        });
+        add_sums(0);
+        for (int round = Run::start_rounds - 1; round >= 0; --round) {
+            // C of the next round was gathered from this grid ...
+            const MlsState<T> here{record.order, {}, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
+            grids_.prepare(record.box, record.ranges);
+            start_tiles(record, [&](std::size_t c, std::size_t, MlsTile<T, 0>& tile, ParticlePoint<P>*, ParticlePoint<P>* bars) {
+                for (int k = 0; k < tile_packs; ++k) {
+                    tile.q[k] = {};
+                    tile.n[k] = run_.affine_velocity(bars[k].c);
+                    tile.mass[k] = P{};
+                    bars[k].c = {};
+                    add_slope(tile, k, here.grid.data(), record.box, bars[k].x);
+                }
+                scatter<T, 0>(tile, grids_.private_grid(c), 0, model_.axis_, record.box);
+            });
+            grid_bar(here);
+            // ... to which m v_0 and m C of this round were given.
+            run_.start_affine_ = affine[static_cast<std::size_t>(round)];
+            start_tiles(record, [&](std::size_t, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
+                for (int k = 0; k < tile_packs; ++k) {
+                    run_.give_velocity(tile, k, t + static_cast<std::size_t>(k * lane_count), points[k]);
+                    add_slope(tile, k, bar_grid_.data(), record.box, bars[k].x);
+                }
+                gather<T, 0>(tile, bar_grid_.data(), 0, model_.axis_, record.box);
+                for (int k = 0; k < tile_packs; ++k) {
+                    const P mass = tile.mass[k];
+                    const Mat3<P> affine_bar = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * tile.n[k];
+                    P mass_bar = dot(tile.q[k], points[k].v) + inner(affine_bar, points[k].c);
+                    for (int q = 0; q < lane_count; ++q) {
+                        mass_bar[q] += gather_fourth<T>(tile, static_cast<std::size_t>(k * lane_count + q), bar_grid_.data(), model_.axis_, record.box);
+                    }
+                    bars[k].v = bars[k].v + mass * tile.q[k];
+                    bars[k].c = bars[k].c + mass * affine_bar;
+                    T* to = &particles_.mass[t + static_cast<std::size_t>(k * lane_count)];
+                    store<T>(to, load<T>(to) + mass_bar);
+                }
+            });
+        }
+    }
+
+    /// f(chunk, first particle, tile, points, bars) for the tiles of the initial state; keeps the bars.
+    template <class F>
+    void start_tiles(const MlsState<T>& record, F&& f) {
+        const std::size_t size = record.order->size;
+        for (std::size_t c = 0; c < record.ranges.size(); ++c) {
             const CellRange limits = inside(record.box, record.ranges[c]);
             CellRange ignored;
             MlsTile<T, 0> tile;
             for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
                 ParticlePoint<P> points[tile_packs], bars[tile_packs];
                 for (int k = 0; k < tile_packs; ++k) {
-                    points[k] = start(t + static_cast<std::size_t>(k * lane_count));
+                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                    points[k] = run_.load_start(p);
                     locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
-                }
-                gather<T, 0>(tile, bare.grid.data(), 0, model_.axis_, record.box);
-                for (int k = 0; k < tile_packs; ++k) {
-                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                    points[k].c = run_.affine_velocity(tile.n[k]);
                     bars[k] = load_particles(x_bar_, f_bar_, size, p);
-                    add_seeds(0, *record.order, p, bars[k]);
+                    for (std::size_t a = 0; a < 3; ++a) {
+                        bars[k].v[static_cast<int>(a)] = load<T>(&v_bar_[a * size + p]);
+                    }
+                    for (std::size_t e = 0; e < 9; ++e) {
+                        bars[k].c.e[e / 3][e % 3] = load<T>(&c_bar_[e * size + p]);
+                    }
                 }
-                reverse_given(c, t, *record.order, points, no_history.data(), bars);
+                f(c, t, tile, points, bars);
                 for (int k = 0; k < tile_packs; ++k) {
                     const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                    tile.q[k] = {};
-                    tile.n[k] = run_.affine_velocity(bars[k].c);
-                    tile.mass[k] = P{};
-                    add_slope(tile, k, bare.grid.data(), record.box, bars[k].x);
                     store_particles(bars[k], size, p);
                     for (std::size_t a = 0; a < 3; ++a) {
                         store<T>(&v_bar_[a * size + p], bars[k].v[static_cast<int>(a)]);
                     }
-                }
-                scatter<T, 0>(tile, grids_.private_grid(c), 0, model_.axis_, record.box);
-            }
-        }
-        add_sums(0);
-        grid_bar(bare);
-        for (std::size_t c = 0; c < record.ranges.size(); ++c) {
-            const CellRange limits = inside(record.box, record.ranges[c]);
-            CellRange ignored;
-            MlsTile<T, 0> tile;
-            for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
-                Vec3<P> velocity[tile_packs];
-                for (int k = 0; k < tile_packs; ++k) {
-                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                    ParticlePoint<P> point = start(p), bar = load_particles(x_bar_, f_bar_, size, p);
-                    velocity[k] = point.v;
-                    locate(tile, k, point.x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
-                    tile.mass[k] = run_.forces_.column(*record.order, record.order->mass, p);
-                    tile.q[k] = tile.mass[k] * point.v;
-                    tile.n[k] = {};
-                    add_slope(tile, k, bar_grid_.data(), record.box, bar.x);
-                    store_particles(bar, size, p);
-                }
-                gather<T, 0>(tile, bar_grid_.data(), 0, model_.axis_, record.box);
-                for (std::size_t q = 0; q < tile_size; ++q) {
-                    const int k = static_cast<int>(q) / lane_count, lane = static_cast<int>(q) % lane_count;
-                    T mass_bar = gather_fourth<T>(tile, q, bar_grid_.data(), model_.axis_, record.box);
-                    for (int a = 0; a < 3; ++a) {
-                        mass_bar += tile.q[k][a][lane] * velocity[k][a][lane];
-                        v_bar_[static_cast<std::size_t>(a) * size + t + q] += tile.mass[k][lane] * tile.q[k][a][lane];
+                    for (std::size_t e = 0; e < 9; ++e) {
+                        store<T>(&c_bar_[e * size + p], bars[k].c.e[e / 3][e % 3]);
                     }
-                    particles_.mass[t + q] += mass_bar;
                 }
             }
         }
@@ -510,7 +526,7 @@ class MlsMpmReverse {
     bool keep_ = false;
     int kept_ = 0;
     std::shared_ptr<const MlsOrder<T>> bar_order_;
-    std::vector<T> x_bar_, f_bar_, v_bar_, history_bar_;  // components, size
+    std::vector<T> x_bar_, f_bar_, v_bar_, c_bar_, history_bar_;  // components, size
     std::vector<T> bar_grid_;  // bars of {px, py, pz, m} at the state above
     Box bar_box_;
     std::vector<CellRange> bar_ranges_;

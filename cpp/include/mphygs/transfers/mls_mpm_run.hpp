@@ -21,6 +21,7 @@ class MlsMpmRun {
     using S = PackScalar<T, K>;
     using P = Pack<T>;
     static constexpr int lanes = K + 1;
+    static constexpr int start_rounds = 4;  // that find C_0
 
     MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule)
         : model_(model), inputs_(inputs), table_(schedule), forces_(model, inputs, table_),
@@ -35,18 +36,27 @@ class MlsMpmRun {
             return;
         }
         const Box box = reach();
-        for (const bool real : {false, true}) {
-            if (real) {
-                forces_.refresh(0);
-            }
-            grids_.prepare(box, state_.ranges);
-            for_each_index(model_.chunk_count_, model_.settings_.threads,
-                           [&](int c) { start_chunk(static_cast<std::size_t>(c), box, real); });
-            grids_.reduce(box, state_.ranges, model_.settings_.threads, state_.grid);
-            state_.box = box;
+        start_affine_.assign(static_cast<std::size_t>(lanes) * 9 * size(), T{});
+        for (int round = 0; round <= start_rounds; ++round) {
+            start_round(box, round > 0, round == start_rounds);
         }
-        start_velocity_.clear();
-        start_velocity_.shrink_to_fit();
+        for (std::vector<T>* done : {&start_velocity_, &start_affine_}) {
+            done->clear();
+            done->shrink_to_fit();
+        }
+    }
+
+    /// Scatters the initial velocities with what is known of C_0, after improving it from the grid
+    /// of the round before. A linear field is its fixed point, also at the surface.
+    void start_round(const Box& box, bool improve, bool real) {
+        if (real) {
+            forces_.refresh(0);
+        }
+        grids_.prepare(box, state_.ranges);
+        for_each_index(model_.chunk_count_, model_.settings_.threads,
+                       [&](int c) { start_chunk(static_cast<std::size_t>(c), box, improve, real); });
+        grids_.reduce(box, state_.ranges, model_.settings_.threads, state_.grid);
+        state_.box = box;
     }
 
     /// Sorts the particles where substep `n` calls for it; to be called before the state is kept.
@@ -103,6 +113,52 @@ class MlsMpmRun {
             for (std::size_t k = 0; k < 9; ++k) {
                 deformation[9 * i + k] = state_.f[(9 * lane + k) * n + p];
             }
+        }
+    }
+
+    /// K = 1, at the initial state: turns lane 1 of the grid from a field u of velocities into the
+    /// acceleration that follows from the deformation u grad (`rates` false) or from the velocity u
+    /// itself, its inertia left out (`rates` true). `field`: (nodes, 4).
+    void linearise(std::vector<T>& field, bool rates) {
+        const Box box = reach();
+        forces_.refresh(0);
+        const T h = forces_.dt();
+        const std::size_t numbers = 4 * box.nodes();
+        field.resize(numbers, T{});
+        state_.grid.assign(lanes * numbers + 4, T{});
+        std::copy(field.begin(), field.end(), state_.grid.begin() + static_cast<std::ptrdiff_t>(numbers));
+        grids_.prepare(box, state_.ranges);
+        std::vector<T> history = state_.history;
+        for (std::size_t c = 0; c < state_.ranges.size(); ++c) {
+            const CellRange inside = limits(c, box, 0);
+            CellRange seen;
+            MlsTile<T, K> tile;
+            for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
+                ParticlePoint<S> points[tile_packs];
+                for (int k = 0; k < tile_packs; ++k) {
+                    points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count));
+                    locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
+                }
+                gather<T, K>(tile, state_.grid.data(), numbers, model_.axis_, box);
+                for (int k = 0; k < tile_packs; ++k) {
+                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                    const Mat3<S> gradient = affine_velocity(tile.n[k]);
+                    if (rates) {
+                        points[k].v = tile.q[k];
+                        points[k].c = gradient;
+                    } else {
+                        points[k].f = points[k].f + gradient * points[k].f;
+                    }
+                    give(tile, k, p, points[k], history.data());
+                    tile.q[k] = tile.q[k] - tile.mass[k] * points[k].v;
+                    tile.n[k] = tile.n[k] - (static_cast<T>(model_.geometry_.spacing) * tile.mass[k]) * points[k].c;
+                }
+                scatter<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
+            }
+        }
+        grids_.reduce(box, state_.ranges, 1, state_.grid);
+        for (std::size_t i = 0; i < numbers; ++i) {
+            field[i] = i % 4 == 3 ? T{} : state_.grid[numbers + i] / h;
         }
     }
 
@@ -302,40 +358,58 @@ class MlsMpmRun {
         tile.mass[pack] = forces_.column(*state_.order, state_.order->mass, p);
     }
 
-    /// Scatters the initial state: first the bare velocities, from whose grid C_0 is gathered.
-    void start_chunk(std::size_t c, const Box& box, bool real) {
+    ParticlePoint<S> load_start(std::size_t p) const {
+        ParticlePoint<S> point = load_particles(p);
+        const std::size_t n = size();
+        for (int l = 0; l < lanes; ++l) {
+            const std::size_t lane = static_cast<std::size_t>(l);
+            for (std::size_t c = 0; c < 3; ++c) {
+                lane_of(point.v[static_cast<int>(c)], l) = load<T>(&start_velocity_[(3 * lane + c) * n + p]);
+            }
+            for (std::size_t k = 0; k < 9; ++k) {
+                lane_of(point.c.e[k / 3][k % 3], l) = load<T>(&start_affine_[(9 * lane + k) * n + p]);
+            }
+        }
+        return point;
+    }
+
+    void start_chunk(std::size_t c, const Box& box, bool improve, bool real) {
         const CellRange inside = limits(c, box, 0);
         CellRange seen;
         MlsTile<T, K> tile;
-        T* out = grids_.private_grid(c);
+        const std::size_t n = size();
         for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
             ParticlePoint<S> points[tile_packs];
             for (int k = 0; k < tile_packs; ++k) {
-                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                points[k] = load_particles(p);
-                for (int l = 0; l < lanes; ++l) {
-                    for (std::size_t a = 0; a < 3; ++a) {
-                        lane_of(points[k].v[static_cast<int>(a)], l) = load<T>(&start_velocity_[(3 * static_cast<std::size_t>(l) + a) * size() + p]);
-                    }
-                }
+                points[k] = load_start(t + static_cast<std::size_t>(k * lane_count));
                 locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
             }
-            if (real) {
+            if (improve) {
                 gather<T, K>(tile, state_.grid.data(), 4 * box.nodes(), model_.axis_, box);
             }
             for (int k = 0; k < tile_packs; ++k) {
                 const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                if (real) {
+                if (improve) {
                     points[k].c = affine_velocity(tile.n[k]);
+                    for (int l = 0; l < lanes; ++l) {
+                        for (std::size_t e = 0; e < 9; ++e) {
+                            store<T>(&start_affine_[(9 * static_cast<std::size_t>(l) + e) * n + p], lane_of(points[k].c.e[e / 3][e % 3], l));
+                        }
+                    }
+                }
+                if (real) {
                     give(tile, k, p, points[k], state_.history.data());
                 } else {
-                    tile.mass[k] = forces_.column(*state_.order, state_.order->mass, p);
-                    tile.q[k] = tile.mass[k] * points[k].v;
-                    tile.n[k] = {};
+                    give_velocity(tile, k, p, points[k]);
                 }
             }
-            scatter<T, K>(tile, out, grids_.lane_stride(c), model_.axis_, box);
+            scatter<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
         }
+    }
+    void give_velocity(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point) const {
+        tile.mass[pack] = forces_.column(*state_.order, state_.order->mass, p);
+        tile.q[pack] = tile.mass[pack] * point.v;
+        tile.n[pack] = (static_cast<T>(model_.geometry_.spacing) * tile.mass[pack]) * point.c;
     }
 
     void advance_chunk(std::size_t c, T h, const Box& next, bool forces, bool output, CellRange& seen) {
@@ -448,7 +522,7 @@ class MlsMpmRun {
     MlsForces<T, K> forces_;
     T inverse_spacing_;
     MlsState<T> state_;
-    std::vector<T> velocity_, start_velocity_;  // (lanes, 3, size)
+    std::vector<T> velocity_, start_velocity_, start_affine_;  // (lanes, 3 or 9, size)
     MlsGrids<T> grids_;
     std::vector<long> failed_;  // per chunk, first particle that left its limits, -1: none
 };
