@@ -220,6 +220,15 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
             }
         }
     }
+    if (matrix) {
+        // Rows of two held faces that meet can depend on each other: a hold a billion times stiffer
+        // than the object shares the force between them. The residual below keeps the hold exact.
+        const Eigen::VectorXd diagonal = matrix_.diagonal();
+        const double give = 1e-9 / diagonal.head(static_cast<Eigen::Index>(3 * model_->node_count())).cwiseAbs().maxCoeff();
+        for (Eigen::Index i = static_cast<Eigen::Index>(3 * model_->node_count()); i < matrix_.rows(); ++i) {
+            matrix_.coeffRef(i, i) = -give;
+        }
+    }
     const Eigen::Index first_row = static_cast<Eigen::Index>(3 * model_->node_count());
     for (Eigen::Index i = 0; i < first_row; ++i) {
         residual[i] -= load_[static_cast<std::size_t>(i)];
