@@ -161,6 +161,8 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
     TotalLagrangianRun<T, 1> run(*this, inputs, none);
     const std::vector<T> u = run.displacement();
     const std::vector<T> v(u.size(), T{});
+    run.accelerations(1e-4);  // what the effects remember at rest
+    const auto history = run.history();
     const std::size_t size = u.size() / 2;
     const bool rates = sites_.rate || sites_.body || sites_.surface || sites_.point;
     for (std::size_t kind = 0; kind < (rates ? 2 : 1); ++kind) {
@@ -182,6 +184,7 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
             }
             run.displacement() = u;
             run.velocity() = v;
+            run.history() = history;
             std::vector<T>& perturbed = kind == 0 ? run.displacement() : run.velocity();
             for (std::size_t k = 0; k < size; ++k) {
                 perturbed[size + k] = static_cast<T>(static_cast<double>(x[k]) / norm);
