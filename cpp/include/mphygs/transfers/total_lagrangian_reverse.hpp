@@ -23,17 +23,16 @@ class TotalLagrangianReverse {
                            const Trajectory<T>& bar)
         : model_(model), schedule_(schedule), bar_(bar), run_(model, inputs_of(fields), schedule) {
         const std::size_t blocks = model.geometry_.block_count();
+        double time = schedule.start;
         for (int f = 0; f < schedule.frame_count(); ++f) {
-            double time = f == 0 ? schedule.start : 0;
-            if (f > 0) {
-                time = step_time_.back() + step_dt_.back();
-            }
             for (int s = 0; s < schedule.steps[static_cast<std::size_t>(f)]; ++s) {
                 const double dt = schedule.dt[static_cast<std::size_t>(f)];
                 step_time_.push_back(time + s * dt);
                 step_dt_.push_back(dt);
                 step_frame_.push_back(f);
             }
+            // As the rollout adds it: the steps computed again have the same bits.
+            time += schedule.steps[static_cast<std::size_t>(f)] * schedule.dt[static_cast<std::size_t>(f)];
         }
         ubar_.assign(run_.size_, T{});
         vbar_.assign(run_.size_, T{});
@@ -143,6 +142,14 @@ class TotalLagrangianReverse {
             vbar_[i] += h * ubar_[i];
         }
         reverse_hold(n, r, dt);
+        // Nodes without mass stay where they are.
+        for (std::size_t i = 0; i < run_.stride_; ++i) {
+            if (run_.inverse_mass_[i] == T{}) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    vbar_[run_.at(0, c, i)] = T{};
+                }
+            }
+        }
         // v* = v + dt (f / m + gravity + effects)
         const int frame = step_frame_[index(n)];
         for (std::size_t c = 0; c < 3; ++c) {
