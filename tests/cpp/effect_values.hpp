@@ -1,0 +1,18 @@
+// Values at which an effect acts: what the tests of every registered effect use.
+#pragma once
+
+#include <algorithm>
+
+#include "mphygs/effect.hpp"
+
+namespace mphygs::test {
+
+/// A value of parameter k away from the null, of usual size and within the bounds. A threshold
+/// effect is absent for a whole range around its null, so its parameters take their usual size.
+inline double trial_value(const EffectInfo& effect, int k) {
+    const ParameterInfo& p = effect.parameters[k];
+    const double value = effect.threshold ? p.scale : p.null + 0.7 * p.scale;
+    return std::clamp(value, p.lower, p.upper);
+}
+
+}  // namespace mphygs::test

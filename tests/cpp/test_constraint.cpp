@@ -1,0 +1,128 @@
+// Holds as constraints: what a solve leaves behind.
+#include <gtest/gtest.h>
+
+#include "mphygs/constraint.hpp"
+#include "random_numbers.hpp"
+
+namespace mphygs {
+namespace {
+
+/// Two holds of three rows each on twelve nodes, with overlapping nodes within a hold.
+struct Example {
+    Geometry geometry;
+    std::vector<std::int32_t> node;
+    std::vector<double> inverse_mass;
+    explicit Example(test::Random& random) {
+        geometry.hold_count = 2;
+        geometry.row_begin = {0};
+        for (int r = 0; r < 6; ++r) {
+            for (int k = 0; k < 3; ++k) {
+                node.push_back(r / 3 * 6 + r % 3 + k);
+                geometry.row_weight.push_back(random.between(0.2, 1.0));
+            }
+            geometry.row_begin.push_back(static_cast<std::int32_t>(node.size()));
+            geometry.row_hold.push_back(r / 3);
+        }
+        inverse_mass = random.numbers(12, 10, 100);
+    }
+};
+
+/// v - M^-1 C^T lambda
+std::vector<double> after(const Example& e, const Constraint& c, std::vector<double> v, const std::vector<double>& lambda) {
+    c.transposed(lambda.data(), [&](std::int32_t n, double y) { v[static_cast<std::size_t>(n)] -= e.inverse_mass[static_cast<std::size_t>(n)] * y; });
+    return v;
+}
+
+TEST(Constraint, ARigidHoldReachesItsTarget) {
+    test::Random random(1);
+    const Example e(random);
+    const Constraint c(e.geometry, e.node, e.inverse_mass);
+    ASSERT_EQ(c.row_count(), 6u);
+    const std::vector<double> v = random.numbers(12, -1, 1), target = random.numbers(6, -1, 1);
+    std::vector<double> b(6), lambda(6), reached(6);
+    c.apply(v.data(), b.data());
+    for (std::size_t r = 0; r < 6; ++r) {
+        b[r] -= target[r];
+    }
+    c.solve(b.data(), 0.0, lambda.data());
+    c.apply(after(e, c, v, lambda).data(), reached.data());
+    for (std::size_t r = 0; r < 6; ++r) {
+        EXPECT_NEAR(reached[r], target[r], 1e-13);
+    }
+}
+
+TEST(Constraint, ACompliantHoldGivesWayByItsComplianceTimesItsForce) {
+    test::Random random(2);
+    const Example e(random);
+    const Constraint c(e.geometry, e.node, e.inverse_mass);
+    const double dt = 1e-3, compliance = 2e-3;
+    const std::vector<double> v = random.numbers(12, -1, 1);
+    std::vector<double> b(6), lambda(6), reached(6), force(2);
+    c.apply(v.data(), b.data());  // target velocity zero
+    c.solve(b.data(), compliance / (dt * dt), lambda.data());
+    c.apply(after(e, c, v, lambda).data(), reached.data());
+    c.sum_per_hold(lambda.data(), force.data());
+    for (std::size_t r = 0; r < 6; ++r) {
+        const double displacement = dt * reached[r];                      // of the hold, in this substep
+        const double pull = force[static_cast<std::size_t>(c.hold_of_row()[r])] / dt;  // of the object on its hold [N]
+        EXPECT_NEAR(displacement, compliance * pull, 1e-12);
+        EXPECT_GT(std::abs(displacement), 1e-6);
+    }
+}
+
+TEST(Constraint, NoComplianceIsTheLimitOfASmallOne) {
+    test::Random random(3);
+    const Example e(random);
+    const Constraint c(e.geometry, e.node, e.inverse_mass);
+    const std::vector<double> b = random.numbers(6, -1, 1);
+    std::vector<double> rigid(6), soft(6);
+    c.solve(b.data(), 0.0, rigid.data());
+    c.solve(b.data(), 1e-9, soft.data());
+    for (std::size_t r = 0; r < 6; ++r) {
+        EXPECT_NEAR(soft[r], rigid[r], 1e-7);
+    }
+}
+
+TEST(Constraint, RowsThatDependOnEachOtherAreHeldTogether) {
+    test::Random random(4);
+    Example e(random);
+    // The second row repeats the first, as where two held faces meet.
+    for (std::size_t k = 0; k < 3; ++k) {
+        e.node[3 + k] = e.node[k];
+        e.geometry.row_weight[3 + k] = e.geometry.row_weight[k];
+    }
+    const Constraint c(e.geometry, e.node, e.inverse_mass);
+    const std::vector<double> v = random.numbers(12, -1, 1);
+    std::vector<double> b(6), lambda(6), reached(6);
+    c.apply(v.data(), b.data());
+    c.solve(b.data(), 0.0, lambda.data());
+    c.apply(after(e, c, v, lambda).data(), reached.data());
+    for (std::size_t r = 0; r < 6; ++r) {
+        EXPECT_NEAR(reached[r], 0.0, 1e-10);
+    }
+    EXPECT_NEAR(lambda[0], lambda[1], 1e-10);
+}
+
+TEST(Constraint, TransposedIsTheTransposeOfApply) {
+    test::Random random(5);
+    const Example e(random);
+    const Constraint c(e.geometry, e.node, e.inverse_mass);
+    const std::vector<double> x = random.numbers(12, -1, 1), y = random.numbers(6, -1, 1);
+    std::vector<double> cx(6);
+    c.apply(x.data(), cx.data());
+    double left = 0, right = 0;
+    for (std::size_t r = 0; r < 6; ++r) {
+        left += cx[r] * y[r];
+    }
+    c.transposed(y.data(), [&](std::int32_t n, double z) { right += x[static_cast<std::size_t>(n)] * z; });
+    EXPECT_NEAR(left, right, 1e-14);
+}
+
+TEST(Constraint, WithoutRowsThereIsNothingToSolve) {
+    const Constraint c(Geometry{}, {}, {1.0, 2.0});
+    EXPECT_EQ(c.row_count(), 0u);
+    c.solve(nullptr, 1.0, nullptr);
+}
+
+}  // namespace
+}  // namespace mphygs
