@@ -102,7 +102,9 @@ def discretise(capture: Capture, boxes: np.ndarray, spacing: float, *, places: n
     Raises ValueError where a hold touches no free material or the spacing misses a part.
     """
     parts = capture.parts
-    faces = [hold_face(parts, box, spacing=spacing) for box in boxes]
+    faces = [
+        hold_face(parts, box, spacing=spacing, other_boxes=np.delete(boxes, h, axis=0)) for h, box in enumerate(boxes)
+    ]
     low = np.min([part.vertices.min(0) for part in parts], axis=0)
     # A held face on the boundary between two cells leaves no slivers of material beside it.
     offset = np.zeros(3)

@@ -213,6 +213,8 @@ class Predictor:
     def _release_slope(self, belief: Belief, parameter: Parameter, last: int, dt: float, position: np.ndarray) -> np.ndarray:
         """By a difference: the release moves the start of the schedule, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
+        if parameter.value + step > parameter.upper:
+            step = -step
         moved = belief.with_parameter(parameter.key, value=parameter.value + step)
         timeline = self.timeline(last, dt, parameter.value + step)
         value, _ = self._runs(moved, [], timeline, None)

@@ -1,0 +1,220 @@
+"""Is the misfit more than noise, where, when, and whose fault: noise, discretisation or physics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from mphygs.compare.allowance import Allowance, modulated_directions
+from mphygs.compare.blocks import part_time_blocks
+from mphygs.compare.noise import Observation
+from mphygs.compare.verdict_floor import Floor, floor_test
+
+# Two bodies discretised differently agree to a few tenths of a standard deviation at best: a misfit of
+# this many sigma, everywhere, is no reason to doubt the physics (spec: 1.1, of which noise is 1).
+PRACTICAL_FLOOR = 1.1
+# Cosines over time by which the discretisation's error may differ from the change under refinement.
+MODULATIONS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Prediction and measurement of one sequence.
+
+    predicted: (T, M, 3) [m]; jacobian: (T, M, 3, P) by the free coordinates; part: (M,) of every marker;
+    refinement: (T, M, 3) change of the prediction under refinement, extrapolated, or None;
+    fit, predict: frame ranges.
+    """
+
+    observation: Observation
+    predicted: np.ndarray
+    jacobian: np.ndarray
+    part: np.ndarray
+    fit: tuple[int, int]
+    predict: tuple[int, int]
+    refinement: np.ndarray | None = None
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """First and last frame of either range."""
+        used = [r for r in (self.fit, self.predict) if r[1] > r[0]]
+        return min(a for a, _ in used), max(b for _, b in used)
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """All compared rows, sequences one after the other. seen: rows of frames that were fitted."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    refinement: np.ndarray
+    part: np.ndarray
+    frame: np.ndarray
+    sequence: np.ndarray
+    seen: np.ndarray
+    names: tuple[str, ...]
+
+
+def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
+    """Whitened residual (measured - predicted), Jacobian of the prediction and refinement of all sequences.
+
+    Each sequence is whitened over the frames of its two ranges together.
+    """
+    parts: list[tuple] = []
+    for number, item in enumerate(compared.values()):
+        first, last = item.frames
+        window = slice(first, last)
+        whitener = item.observation.whitener(first, last)
+        rows = whitener.whiten(np.nan_to_num(item.observation.position[window] - item.predicted[window]))
+        jacobian = whitener.whiten(item.jacobian[window])
+        refinement = np.zeros_like(item.predicted) if item.refinement is None else item.refinement
+        frame = whitener.frame + first
+        seen = (frame >= item.fit[0]) & (frame < item.fit[1])
+        used = seen | ((frame >= item.predict[0]) & (frame < item.predict[1]))
+        parts.append(
+            (
+                rows[used], jacobian[used], whitener.whiten(refinement[window])[used],
+                item.part[whitener.marker][used], frame[used], np.full(int(used.sum()), number), seen[used],
+            )
+        )  # fmt: skip
+    joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
+    return Whitened(*joined, tuple(compared))
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """adequate: no more misfit than the floor; p_value: of a misfit this large with the discretisation's
+    share allowed for; ratio: sequence -> range -> root mean square over sigma of the whitened residual;
+    budget: shares of the mean square [m^2] as root mean squares [m]; where, when: as the command prints."""
+
+    adequate: bool
+    p_value: float
+    ratio: dict[str, dict[str, float]]
+    floor: Floor
+    where: list[dict]
+    when: list[dict]
+    budget: dict[str, float]
+
+    @property
+    def worst(self) -> float:
+        """Largest ratio of any sequence and range."""
+        return max(value for ranges in self.ratio.values() for value in ranges.values())
+
+
+def ratios(whitened: Whitened) -> dict[str, dict[str, float]]:
+    """Root mean square of the whitened residual per sequence and range ("fit", "predict")."""
+    out: dict[str, dict[str, float]] = {}
+    for number, name in enumerate(whitened.names):
+        mine = whitened.sequence == number
+        out[name] = {
+            label: float(np.sqrt(np.mean(whitened.residual[mine & rows] ** 2)))
+            for label, rows in (("fit", whitened.seen), ("predict", ~whitened.seen))
+            if (mine & rows).any()
+        }
+    return out
+
+
+def discretisation_allowance(whitened: Whitened) -> Allowance:
+    """Nuisance directions with the size of the change under refinement, per sequence and part."""
+    if not np.any(whitened.refinement):
+        return Allowance()
+    columns = []
+    for number in range(len(whitened.names)):
+        mine = whitened.sequence == number
+        block = modulated_directions(whitened.refinement[mine], whitened.part[mine], whitened.frame[mine], count=MODULATIONS)
+        full = np.zeros((len(mine), block.shape[1]))
+        full[mine] = block
+        columns.append(full)
+    directions = np.concatenate(columns, axis=1)
+    return Allowance(directions=directions[:, np.linalg.norm(directions, axis=0) > 1e-9])
+
+
+def assess(
+    compared: Mapping[str, Compared],
+    part_names: tuple[str, ...],
+    *,
+    part_centers: np.ndarray,
+    block_frames: int = 10,
+    level: float = 0.01,
+) -> Assessment:
+    """Compare predictions with measurements.
+
+    part_centers: (P, 3) [m], where a part is said to be. block_frames: length of the stretches of time that
+    are tested one by one. Raises ValueError when nothing was measured in any range.
+    """
+    whitened = whiten_all(compared)
+    if not len(whitened.residual):
+        raise ValueError("nothing was measured in the frames to compare")
+    allowance = discretisation_allowance(whitened)
+    # Parts of every sequence are blocks of their own.
+    label = whitened.sequence * len(part_names) + whitened.part
+    names = [part for _ in whitened.names for part in part_names]
+    blocks = part_time_blocks(label, whitened.frame, names=names, length=block_frames)
+    degrees = min((c.observation.noise.scale_degrees for c in compared.values()), default=np.inf)
+    floor = floor_test(whitened.residual, whitened.jacobian, blocks, allowance=allowance, noise_degrees=degrees, level=level)
+    found = ratios(whitened)
+    worst = max(v for ranges in found.values() for v in ranges.values())
+    sigma = float(np.sqrt(np.mean([c.observation.sigma**2 for c in compared.values()])))
+    return Assessment(
+        adequate=bool(worst <= PRACTICAL_FLOOR or (floor.reached and worst <= 1.5 * PRACTICAL_FLOOR)),
+        p_value=floor.p_value,
+        ratio=found,
+        floor=floor,
+        where=_where(whitened, part_names, part_centers, sigma),
+        when=_when(whitened, sigma, block_frames),
+        budget=_budget(whitened, sigma),
+    )
+
+
+def _excess(values: np.ndarray) -> float:
+    """Root mean square beyond noise, in standard deviations."""
+    return float(np.sqrt(max(np.mean(values**2) - 1.0, 0.0))) if len(values) else 0.0
+
+
+def _where(whitened: Whitened, parts: tuple[str, ...], centers: np.ndarray, sigma: float) -> list[dict]:
+    """Parts whose misfit is more than noise, the worst first."""
+    found = []
+    for p, name in enumerate(parts):
+        rows = whitened.residual[whitened.part == p]
+        if len(rows) and np.mean(rows**2) > chi2.isf(1e-3 / len(parts), len(rows)) / len(rows):
+            found.append({"part": name, "center": [float(x) for x in centers[p]], "rms": _excess(rows) * sigma * np.sqrt(3.0)})
+    return sorted(found, key=lambda item: -item["rms"])
+
+
+def _when(whitened: Whitened, sigma: float, length: int) -> list[dict]:
+    """Stretches of frames whose misfit is more than noise, the worst first."""
+    found = []
+    for number, name in enumerate(whitened.names):
+        mine = whitened.sequence == number
+        frames = whitened.frame[mine]
+        edges = np.arange(frames.min(), frames.max() + 1, length)
+        for first in edges:
+            rows = whitened.residual[mine][(frames >= first) & (frames < first + length)]
+            if len(rows) and np.mean(rows**2) > chi2.isf(1e-3 / len(edges), len(rows)) / len(rows):
+                last = int(min(first + length, frames.max() + 1))
+                found.append({"sequence": name, "frames": [int(first), last], "rms": _excess(rows) * sigma * np.sqrt(3.0)})
+    return sorted(found, key=lambda item: -item["rms"])
+
+
+def _budget(whitened: Whitened, sigma: float) -> dict[str, float]:
+    """Root mean squares over markers of the three shares [m]: they add in squares to the misfit.
+
+    The discretisation's share is the change under refinement less what refitting absorbs; what neither it
+    nor noise covers is physics.
+    """
+    total = float(np.mean(whitened.residual**2))
+    share = whitened.refinement
+    if np.any(share) and whitened.jacobian.shape[1]:
+        solution = np.linalg.lstsq(whitened.jacobian, share, rcond=1e-10)[0]
+        share = share - whitened.jacobian @ solution
+    discretisation = min(float(np.mean(share**2)), max(total - 1.0, 0.0))
+    physics = max(total - 1.0 - discretisation, 0.0)
+    scale = sigma * np.sqrt(3.0)
+    return {
+        "noise": scale,
+        "discretisation": scale * float(np.sqrt(discretisation)),
+        "physics": scale * float(np.sqrt(physics)),
+    }
