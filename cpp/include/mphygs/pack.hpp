@@ -20,16 +20,20 @@ template <>
 struct PackOf<float> {
     using type __attribute__((vector_size(32))) = float;
     using mask __attribute__((vector_size(32))) = std::int32_t;
+    using bits __attribute__((vector_size(32))) = std::uint32_t;
 };
 template <>
 struct PackOf<double> {
     using type __attribute__((vector_size(64))) = double;
     using mask __attribute__((vector_size(64))) = std::int64_t;
+    using bits __attribute__((vector_size(64))) = std::uint64_t;
 };
 template <class T>
 using Pack = typename PackOf<T>::type;
 template <class T>
 using PackMask = typename PackOf<T>::mask;
+template <class T>
+using PackBits = typename PackOf<T>::bits;  // unsigned: the bits of any number may be subtracted
 
 template <class V>
 struct ScalarOf {
@@ -103,11 +107,10 @@ inline Pack<double> select(PackMask<double> m, Pack<double> a, Pack<double> b) {
 // ln x = e ln 2 + 2 artanh((m - 1)/(m + 1)), x = m 2^e, m in [sqrt(1/2), sqrt(2)).
 // Not a number for x <= 0: an inverted element has no logarithmic strain.
 inline Pack<float> logarithm(Pack<float> x) {
-    using I = PackMask<float>;
-    I bits;
+    PackBits<float> bits;
     std::memcpy(&bits, &x, sizeof bits);
-    I exponent = (bits - 0x3f3504f3) >> 23;  // floor(log2(x / sqrt(1/2)))
-    I mantissa = bits - (exponent << 23);
+    const PackMask<float> exponent = reinterpret_cast<PackMask<float>>(bits - 0x3f3504f3U) >> 23;  // floor(log2(x / sqrt(1/2)))
+    const PackBits<float> mantissa = bits - (reinterpret_cast<PackBits<float>>(exponent) << 23);
     Pack<float> m;
     std::memcpy(&m, &mantissa, sizeof m);
     const Pack<float> s = (m - 1.0f) / (m + 1.0f);
@@ -117,11 +120,10 @@ inline Pack<float> logarithm(Pack<float> x) {
     return x > 0.0f ? value : Pack<float>{} + NAN;
 }
 inline Pack<double> logarithm(Pack<double> x) {
-    using I = PackMask<double>;
-    I bits;
+    PackBits<double> bits;
     std::memcpy(&bits, &x, sizeof bits);
-    I exponent = (bits - 0x3fe6a09e667f3bcdLL) >> 52;
-    I mantissa = bits - (exponent << 52);
+    const PackMask<double> exponent = reinterpret_cast<PackMask<double>>(bits - 0x3fe6a09e667f3bcdULL) >> 52;
+    const PackBits<double> mantissa = bits - (reinterpret_cast<PackBits<double>>(exponent) << 52);
     Pack<double> m;
     std::memcpy(&m, &mantissa, sizeof m);
     const Pack<double> s = (m - 1.0) / (m + 1.0);
