@@ -1,0 +1,233 @@
+"""The rollout as a torch operation: backward by the checkpointed adjoint, forward mode by tangents.
+
+One call runs several temporal windows side by side. What all windows share (materials, effects) is given
+once and its gradient is the sum over the windows; what a window has of its own (initial state, poses, known
+forces) is given with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mphygs import _core
+
+FIELD_NAMES = (
+    "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
+    "gravity", "displacement0", "velocity0", "node_force", "pose",
+)  # fmt: skip
+NO_SECOND_DERIVATIVE = "a rollout has first derivatives only: expected backward() without create_graph, or one forward-mode level"
+NO_BATCHED_INPUTS = "vmap over the inputs of a rollout: expected windows in one call instead"
+
+NodeState = tuple[Tensor, Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """One stretch of time. schedule: {"steps": (F,), "dt": (F,) [s], "start": [s]}.
+
+    fields: tensors of this window alone; they take the place of shared ones of the same name.
+    """
+
+    schedule: Mapping[str, object]
+    fields: Mapping[str, Tensor] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What of a call is not a tensor. slots: per window, field name -> index among the tensors."""
+
+    model: object
+    schedules: tuple[dict, ...]
+    slots: tuple[dict[str, int], ...]
+    workers: int
+
+    def fields(self, window: int, arrays: Sequence[np.ndarray | None]) -> dict[str, np.ndarray]:
+        return {name: arrays[i] for name, i in self.slots[window].items() if arrays[i] is not None}
+
+    def each(self, work: Callable[[int], object]) -> list:
+        """work(window) for every window; results in order. The core leaves the interpreter free meanwhile."""
+        windows = range(len(self.schedules))
+        if self.workers == 1 or len(windows) == 1:
+            return [work(w) for w in windows]
+        with ThreadPoolExecutor(min(self.workers, len(windows))) as pool:
+            return list(pool.map(work, windows))
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
+class _Rollout(torch.autograd.Function):
+    @staticmethod
+    def forward(plan: _Plan, *tensors: Tensor) -> tuple[Tensor, ...]:
+        arrays = [_array(t) for t in tensors]
+        runs = plan.each(lambda w: plan.model.simulate(plan.fields(w, arrays), plan.schedules[w]))
+        return tuple(torch.from_numpy(a) for run in runs for a in run)
+
+    @staticmethod
+    def setup_context(ctx: object, inputs: tuple, output: tuple[Tensor, ...]) -> None:
+        ctx.plan = inputs[0]
+        ctx.save_for_backward(*inputs[1:])
+        ctx.save_for_forward(*inputs[1:])
+        ctx.set_materialize_grads(False)
+
+    @staticmethod
+    def backward(ctx: object, *bars: Tensor | None) -> tuple[Tensor | None, ...]:
+        tensors = ctx.saved_tensors
+        wanted = tuple(ctx.needs_input_grad[1:])
+        if all(bar is None for bar in bars):
+            return (None, *(None for _ in tensors))
+        return (None, *_Gradient.apply(ctx.plan, wanted, len(tensors), *tensors, *bars))
+
+    @staticmethod
+    def vmap(info: object, in_dims: tuple, plan: _Plan, *tensors: Tensor) -> tuple:
+        # Inputs that are not batched do not come here; a rollout runs windows, not batches.
+        raise NotImplementedError(NO_BATCHED_INPUTS)
+
+    @staticmethod
+    def jvp(ctx: object, _plan: None, *tangents: Tensor | None) -> tuple[Tensor, ...]:
+        return _Tangent.apply(ctx.plan, len(tangents), *ctx.saved_tensors, *tangents)
+
+
+class _Gradient(torch.autograd.Function):
+    """The adjoint, a function of its own so that a second derivative is refused by name."""
+
+    @staticmethod
+    def forward(
+        plan: _Plan, wanted: tuple[bool, ...], count: int, *tensors: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
+        inputs, bars = tensors[:count], tensors[count:]
+        arrays = [_array(t) for t in inputs]
+        empty = np.zeros(0, arrays[0].dtype)
+
+        def work(window: int) -> dict[str, np.ndarray]:
+            u, v = (empty if b is None else _array(b) for b in bars[2 * window : 2 * window + 2])
+            if not u.size and not v.size:
+                return {}
+            return plan.model.adjoint(plan.fields(window, arrays), plan.schedules[window], u, v)[0]
+
+        sums: list[np.ndarray | None] = [
+            np.zeros_like(a) if w else None for a, w in zip(arrays, wanted, strict=True)
+        ]
+        for slots, gradient in zip(plan.slots, plan.each(work), strict=True):
+            for name, i in slots.items():
+                total = sums[i]
+                # The core returns nothing for what no active effect reads.
+                if total is not None and name in gradient and gradient[name].size:
+                    total += gradient[name].reshape(total.shape)
+        return tuple(None if s is None else torch.from_numpy(s) for s in sums)
+
+    @staticmethod
+    def setup_context(ctx: object, inputs: tuple, output: tuple) -> None:
+        pass
+
+    @staticmethod
+    def backward(ctx: object, *bars: Tensor) -> tuple:
+        raise NotImplementedError(NO_SECOND_DERIVATIVE)
+
+    @staticmethod
+    def jvp(ctx: object, *tangents: Tensor) -> tuple:
+        raise NotImplementedError(NO_SECOND_DERIVATIVE)
+
+
+class _Tangent(torch.autograd.Function):
+    """The tangent in one direction, or under vmap in all of them in one run."""
+
+    @staticmethod
+    def forward(plan: _Plan, count: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
+        directions = [[None if t is None else _array(t) for t in tensors[count:]]]
+        out = _tangents(plan, [_array(t) for t in tensors[:count]], directions)
+        return tuple(torch.from_numpy(a[0]) for a in out)
+
+    @staticmethod
+    def setup_context(ctx: object, inputs: tuple, output: tuple) -> None:
+        pass
+
+    @staticmethod
+    def backward(ctx: object, *bars: Tensor) -> tuple:
+        raise NotImplementedError(NO_SECOND_DERIVATIVE)
+
+    @staticmethod
+    def jvp(ctx: object, *tangents: Tensor) -> tuple:
+        raise NotImplementedError(NO_SECOND_DERIVATIVE)
+
+    @staticmethod
+    def vmap(info: object, in_dims: tuple, plan: _Plan, count: int, *tensors: Tensor | None) -> tuple:
+        dims = in_dims[2:]
+        if any(d is not None for d in dims[:count]):
+            raise NotImplementedError(NO_BATCHED_INPUTS)
+        directions = []
+        for k in range(info.batch_size):
+            picked = [
+                None if t is None else _array(t if d is None else t.select(d, k))
+                for t, d in zip(tensors[count:], dims[count:], strict=True)
+            ]
+            directions.append(picked)
+        out = _tangents(plan, [_array(t) for t in tensors[:count]], directions)
+        return tuple(torch.from_numpy(a) for a in out), (0,) * len(out)
+
+
+def _tangents(
+    plan: _Plan, arrays: list[np.ndarray], directions: list[list[np.ndarray | None]]
+) -> list[np.ndarray]:
+    """Derivatives of displacement and velocity of every window, each (K, F + 1, N, 3)."""
+
+    def work(window: int) -> list:
+        fields = [plan.fields(window, direction) for direction in directions]
+        return plan.model.tangent(plan.fields(window, arrays), fields, plan.schedules[window])[1:]
+
+    runs = plan.each(work)
+    return [np.stack([tangent[part] for tangent in run]) for run in runs for part in range(2)]
+
+
+def rollout_windows(
+    model: object, shared: Mapping[str, Tensor], windows: Sequence[Window], *, workers: int = 1
+) -> tuple[NodeState, ...]:
+    """Node displacement (F + 1, N, 3) [m] and velocity (F + 1, N, 3) [m/s] of every window at its frames.
+
+    model: a compiled TotalLagrangianFloat32 or Float64, which holds the memory budget of the adjoint;
+    shared: fields of all windows, named as in FIELD_NAMES, in the model's precision; workers: windows run
+    side by side. Differentiable by every field, backward and forward; torch.func.jacfwd carries all
+    directions in one run. The result does not depend on `workers`, to the bit.
+
+    Raises ValueError for an unknown field, another precision or a wrong size, SimulationError for an
+    unstable run, NotImplementedError for second derivatives.
+    """
+    if not windows:
+        raise ValueError("rollout_windows: expected at least one window")
+    if workers < 1:
+        raise ValueError(f"workers = {workers}: expected at least 1")
+    dtype = torch.float32 if isinstance(model, _core.TotalLagrangianFloat32) else torch.float64
+    tensors: list[Tensor] = []
+
+    def indices(fields: Mapping[str, Tensor], where: str) -> dict[str, int]:
+        found = {}
+        for name, tensor in fields.items():
+            if name not in FIELD_NAMES:
+                raise ValueError(
+                    f"{where}: unknown field '{name}', expected one of {', '.join(FIELD_NAMES)}"
+                )
+            if tensor.dtype != dtype or tensor.device.type != "cpu":
+                raise ValueError(
+                    f"{where}: field '{name}' is {tensor.dtype} on {tensor.device}, expected {dtype} on cpu"
+                )
+            found[name] = len(tensors)
+            tensors.append(tensor)
+        return found
+
+    common = indices(shared, "shared fields")
+    slots = tuple(common | indices(window.fields, f"window {k}") for k, window in enumerate(windows))
+    schedules = tuple(dict(window.schedule) for window in windows)
+    out = _Rollout.apply(_Plan(model, schedules, slots, workers), *tensors)
+    return tuple(zip(out[0::2], out[1::2], strict=True))
+
+
+def rollout(model: object, fields: Mapping[str, Tensor], schedule: Mapping[str, object]) -> NodeState:
+    """One window; see `rollout_windows`."""
+    return rollout_windows(model, fields, [Window(schedule)])[0]
