@@ -1,5 +1,6 @@
 #include "arrays.hpp"
 #include "fields.hpp"
+#include "point_hook.hpp"
 #include "mphygs/transfers/total_lagrangian.hpp"
 
 namespace mphygs_python {
@@ -33,30 +34,33 @@ void bind(py::module_& m, const char* name) {
                                        to_array(std::move(w.gradient), {n, 27, 3}));
              })
         .def("largest_rates",
-             [](const Model& self, const py::dict& fields, int iterations) {
+             [](const Model& self, const py::dict& fields, int iterations, const py::object& hook) {
                  const Fields<T> f = to_fields<T>(fields);
+                 const PointHook<T> h = to_hook<T>(hook);
                  py::gil_scoped_release release;
-                 return self.largest_rates(f, iterations);
+                 return self.largest_rates(f, iterations, hook.is_none() ? nullptr : &h);
              },
-             py::arg("fields"), py::arg("iterations") = 60)
+             py::arg("fields"), py::arg("iterations") = 60, py::arg("hook") = py::none())
         .def("simulate",
-             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress) {
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress, const py::object& hook) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
+                 const PointHook<T> h = to_hook<T>(hook);
                  Trajectory<T> t;
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.simulate(f, s, p);
+                     t = self.simulate(f, s, p, hook.is_none() ? nullptr : &h);
                  }
                  return trajectory_arrays(std::move(t), self.node_count());
              },
-             py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none())
+             py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none(), py::arg("hook") = py::none())
         .def("tangent",
              [](const Model& self, const py::dict& fields, const py::list& directions, const py::dict& schedule,
-                const py::object& progress) {
+                const py::object& progress, const py::object& hook) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
+                 const PointHook<T> h = to_hook<T>(hook);
                  std::vector<Fields<T>> d;
                  for (const auto& item : directions) {
                      d.push_back(to_fields<T>(item.cast<py::dict>()));
@@ -65,7 +69,7 @@ void bind(py::module_& m, const char* name) {
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.tangent(f, d, s, p);
+                     t = self.tangent(f, d, s, p, hook.is_none() ? nullptr : &h);
                  }
                  py::list out;
                  for (auto& x : t) {
@@ -73,24 +77,26 @@ void bind(py::module_& m, const char* name) {
                  }
                  return out;
              },
-             py::arg("fields"), py::arg("directions"), py::arg("schedule"), py::arg("progress") = py::none())
+             py::arg("fields"), py::arg("directions"), py::arg("schedule"), py::arg("progress") = py::none(),
+             py::arg("hook") = py::none())
         .def("adjoint",
              [](const Model& self, const py::dict& fields, const py::dict& schedule, const Array<T>& displacement_bar,
-                const Array<T>& velocity_bar, const py::object& progress) {
+                const Array<T>& velocity_bar, const py::object& progress, const py::object& hook) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
+                 const PointHook<T> h = to_hook<T>(hook);
                  const Trajectory<T> bar{to_vector<T>(displacement_bar), to_vector<T>(velocity_bar)};
                  Fields<T> g;
                  long recomputed = 0;
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     g = self.adjoint(f, s, bar, p, &recomputed);
+                     g = self.adjoint(f, s, bar, p, &recomputed, hook.is_none() ? nullptr : &h);
                  }
                  return py::make_tuple(fields_dict(std::move(g)), recomputed);
              },
              py::arg("fields"), py::arg("schedule"), py::arg("displacement_bar"), py::arg("velocity_bar"),
-             py::arg("progress") = py::none());
+             py::arg("progress") = py::none(), py::arg("hook") = py::none());
 }
 
 }  // namespace

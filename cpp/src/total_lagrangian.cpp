@@ -60,17 +60,20 @@ std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>& fields) const {
 }
 
 template <class T>
-Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress) const {
+Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress,
+                                           const PointHook<T>* hook) const {
     check(fields, schedule);
     Inputs<T, 0> inputs;
     inputs.primal = &fields;
+    inputs.hook = hook;
     const auto describe = [this](const std::vector<T>& u, int f, double t, int* p) { return describe_failure(u, 0, f, t, p); };
     return std::move(roll<T, 0>(*this, inputs, 0, schedule, progress, describe)[0]);
 }
 
 template <class T>
 std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, const std::vector<Fields<T>>& directions,
-                                                       const Schedule& schedule, const Progress& progress) const {
+                                                       const Schedule& schedule, const Progress& progress,
+                                                       const PointHook<T>* hook) const {
     check(fields, schedule);
     for (const Fields<T>& d : directions) {
         Fields<T> a = d, b = fields;
@@ -88,6 +91,8 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
     const auto batch = [&]<int K>(std::integral_constant<int, K>) {
         Inputs<T, K> inputs;
         inputs.primal = &fields;
+        inputs.hook = hook;
+        inputs.first_direction = static_cast<int>(done);
         const std::size_t wanted = std::min<std::size_t>(K, directions.size() - done);
         for (std::size_t k = 0; k < wanted; ++k) {
             inputs.direction[k] = &directions[done + k];
@@ -106,20 +111,20 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
         }
     }
     if (result.empty()) {
-        result.push_back(simulate(fields, schedule, progress));
+        result.push_back(simulate(fields, schedule, progress, hook));
     }
     return result;
 }
 
 template <class T>
 Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>& fields, const Schedule& schedule, const Trajectory<T>& bar,
-                                      const Progress& progress, long* recomputed) const {
+                                      const Progress& progress, long* recomputed, const PointHook<T>* hook) const {
     check(fields, schedule);
     const std::size_t wanted = (schedule.steps.size() + 1) * 3 * node_count();
     if ((!bar.displacement.empty() && bar.displacement.size() != wanted) || (!bar.velocity.empty() && bar.velocity.size() != wanted)) {
         throw std::invalid_argument("the bar of the trajectory must be (frames + 1, nodes, 3)");
     }
-    TotalLagrangianReverse<T> reverse(*this, fields, schedule, bar);
+    TotalLagrangianReverse<T> reverse(*this, fields, schedule, bar, hook);
     return reverse.gradient(progress, recomputed);
 }
 
@@ -146,7 +151,7 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
 }
 
 template <class T>
-std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields, int iterations) const {
+std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields, int iterations, const PointHook<T>* hook) const {
     // One tangent substep from rest: with a unit step, du = 0 and dv = x gives the force on v,
     // du = x gives the stiffness. No gravity, no hold: both only lower the frequencies.
     Fields<T> value = fields;
@@ -157,6 +162,9 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
     std::array<double, 2> result{0, 0};
     Inputs<T, 1> inputs;
     inputs.primal = &value;
+    Fields<T> direction;  // empty: the perturbation is put into the state
+    inputs.direction[0] = &direction;
+    inputs.hook = hook;
     const Schedule none;
     TotalLagrangianRun<T, 1> run(*this, inputs, none);
     const std::vector<T> u = run.displacement();
@@ -164,7 +172,7 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
     run.accelerations(1e-4);  // what the effects remember at rest
     const auto history = run.history();
     const std::size_t size = u.size() / 2;
-    const bool rates = sites_.rate || sites_.body || sites_.surface || sites_.point;
+    const bool rates = sites_.rate || sites_.body || sites_.surface || sites_.point || hook;
     for (std::size_t kind = 0; kind < (rates ? 2 : 1); ++kind) {
         std::vector<T> x(size);
         unsigned state = 12345;
@@ -200,12 +208,13 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
 
 #define MPHYGS_INSTANTIATE(T)                                                                                             \
     template std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>&) const;                                        \
-    template Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>&, const Schedule&, const Progress&) const;        \
+    template Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>&, const Schedule&, const Progress&, const PointHook<T>*) const; \
     template std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>&, const std::vector<Fields<T>>&,      \
-                                                                    const Schedule&, const Progress&) const;              \
-    template Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>&, const Schedule&, const Trajectory<T>&, const Progress&, long*) const; \
+                                                                    const Schedule&, const Progress&, const PointHook<T>*) const; \
+    template Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>&, const Schedule&, const Trajectory<T>&, const Progress&, long*, \
+                                                   const PointHook<T>*) const; \
     template std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>&) const;                                      \
-    template std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>&, int) const;
+    template std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>&, int, const PointHook<T>*) const;
 MPHYGS_INSTANTIATE(float)
 MPHYGS_INSTANTIATE(double)
 #undef MPHYGS_INSTANTIATE

@@ -20,8 +20,8 @@ class TotalLagrangianReverse {
     };
 
     TotalLagrangianReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
-                           const Trajectory<T>& bar)
-        : model_(model), schedule_(schedule), bar_(bar), run_(model, inputs_of(fields), schedule) {
+                           const Trajectory<T>& bar, const PointHook<T>* hook)
+        : model_(model), schedule_(schedule), bar_(bar), run_(model, inputs_of(fields, hook), schedule) {
         const std::size_t blocks = model.geometry_.block_count();
         double time = schedule.start;
         for (int f = 0; f < schedule.frame_count(); ++f) {
@@ -99,9 +99,10 @@ class TotalLagrangianReverse {
     }
 
   private:
-    static Inputs<T, 0> inputs_of(const Fields<T>& fields) {
+    static Inputs<T, 0> inputs_of(const Fields<T>& fields, const PointHook<T>* hook) {
         Inputs<T, 0> inputs;
         inputs.primal = &fields;
+        inputs.hook = hook;
         return inputs;
     }
     static std::size_t index(int n) { return static_cast<std::size_t>(n); }
@@ -178,6 +179,9 @@ class TotalLagrangianReverse {
         }
         if (model_.sites_.point) {
             reverse_places(time);
+        }
+        if (run_.inputs_.hook) {
+            reverse_hook(time, dt);
         }
         for_each_index(static_cast<int>(model_.chunks_.size()), model_.settings_.threads, [&](int c) {
             reverse_chunk(static_cast<std::size_t>(c), time, dt);
@@ -360,6 +364,68 @@ class TotalLagrangianReverse {
         }
     }
 
+    void reverse_hook(double time, double dt) {
+        const std::size_t points = 8 * model_.rows_.size();
+        const PointState<T> state = run_.hook_state(time, dt);
+        const PointForces<T> given = run_.inputs_.hook->forward(state);
+        PointForces<T> bar;
+        bar.force.resize(given.force.size());
+        bar.stress.resize(given.stress.size());
+        std::vector<Mat3<Pack<T>>> pulled(given.stress.empty() ? 0 : model_.rows_.size());
+        for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+            const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+            const std::size_t table = static_cast<std::size_t>(model_.table_[b]);
+            const std::size_t from = 8 * static_cast<std::size_t>(model_.order_[b]);
+            if (!given.force.empty()) {
+                const Vec3<Pack<T>> force_bar = gather_value<T>(fbar_.data(), run_.stride_, rows, model_.values_[table]);
+                for (std::size_t i = 0; i < 24; ++i) {
+                    bar.force[3 * from + i] = force_bar[static_cast<int>(i % 3)][i / 3];
+                }
+            }
+            if (!given.stress.empty()) {
+                const Mat3<Pack<T>> g = gather_gradient<T>(fbar_.data(), run_.stride_, rows, model_.gradients_[table]);
+                const Mat3<Pack<T>> stress = Run::point_matrices(&given.stress[9 * from]);
+                pulled[b] = run_.prestressed_ ? g * run_.f0_[b] : g;
+                for (std::size_t i = 0; i < 72; ++i) {
+                    const int j = static_cast<int>(i % 9);
+                    bar.stress[9 * from + i] = -run_.volume_[b][i / 9] * pulled[b][j / 3][j % 3][i / 9];
+                }
+                accumulate(&volume_bar_[from], -inner(pulled[b], stress));
+                if (run_.prestressed_) {
+                    add_deformation0_bar(from, (-run_.volume_[b]) * (transpose(g) * stress));
+                }
+            }
+        }
+        const PointState<T> state_bar = run_.inputs_.hook->reverse(state, bar);
+        if (state_bar.position.size() != 3 * points || state_bar.velocity.size() != 3 * points ||
+            state_bar.deformation.size() != 9 * points) {
+            throw std::invalid_argument("the hook's bars must have the sizes of the state");
+        }
+        for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+            const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+            const std::size_t table = static_cast<std::size_t>(model_.table_[b]);
+            const std::size_t from = 8 * static_cast<std::size_t>(model_.order_[b]);
+            scatter_value<T>(Run::point_vectors(&state_bar.position[3 * from]), ubar_.data(), run_.stride_, rows, model_.values_[table]);
+            scatter_value<T>(Run::point_vectors(&state_bar.velocity[3 * from]), vbar_.data(), run_.stride_, rows, model_.values_[table]);
+            Mat3<Pack<T>> gradient_bar = Run::point_matrices(&state_bar.deformation[9 * from]);
+            if (run_.prestressed_) {
+                const Mat3<Pack<T>>& f0 = run_.f0_[b];
+                VolumePoint<Pack<T>> value;
+                run_.load_point(b, value, time, dt);
+                add_deformation0_bar(from, transpose(value.deformation * inverse(f0)) * gradient_bar);
+                gradient_bar = gradient_bar * transpose(f0);
+            }
+            scatter_gradient<T>(gradient_bar, ubar_.data(), run_.stride_, rows, model_.gradients_[table]);
+        }
+    }
+
+    /// from: number of the block's first point in the caller's order.
+    void add_deformation0_bar(std::size_t from, const Mat3<Pack<T>>& bar) {
+        for (int i = 0; i < 9; ++i) {
+            accumulate(&deformation0_bar_[9 * from + 8 * static_cast<std::size_t>(i)], bar[i / 3][i % 3]);
+        }
+    }
+
     void reverse_chunk(std::size_t c, double time, double dt) {
         const auto& chunk = model_.chunks_[c];
         std::vector<T>& out = chunk_bar_[c];
@@ -476,9 +542,7 @@ class TotalLagrangianReverse {
             if (model_.sites_.rate) {
                 f0_bar = f0_bar + transpose(value.rate * inverse(f0)) * rate_bar;
             }
-            for (int i = 0; i < 9; ++i) {
-                accumulate(&deformation0_bar_[9 * to + 8 * static_cast<std::size_t>(i)], f0_bar[i / 3][i % 3]);
-            }
+            add_deformation0_bar(to, f0_bar);
         }
         scatter_gradient<T>(gradient_bar, ubar, span, rows, table);
         if (model_.sites_.rate) {

@@ -97,6 +97,7 @@ class TotalLagrangianRun {
                        [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
         reduce_forces();
         place_forces(time);
+        hook_forces(time, dt);
         known_forces(frame);
         update_nodes(time, dt);
         hold(n, dt);
@@ -115,6 +116,7 @@ class TotalLagrangianRun {
         }
         reduce_forces();
         place_forces(0.0);
+        hook_forces(0.0, dt);
         std::vector<T> before = v_;
         update_nodes(0.0, 1.0);
         for (std::size_t i = 0; i < v_.size(); ++i) {
@@ -415,6 +417,102 @@ class TotalLagrangianRun {
                 }
             }
         }
+    }
+
+    /// What the hook is shown: all quadrature points in the caller's order.
+    PointState<T> hook_state(double time, double dt) const {
+        const std::size_t points = 8 * model_.rows_.size();
+        PointState<T> s;
+        s.time = time;
+        s.first_direction = inputs_.first_direction;
+        for (int k = 0; k < K; ++k) {
+            s.lanes += inputs_.direction[k] ? 1 : 0;
+        }
+        const std::size_t shown = static_cast<std::size_t>(s.lanes);
+        s.position.resize(shown * points * 3);
+        s.velocity.resize(shown * points * 3);
+        s.deformation.resize(shown * points * 9);
+        for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+            const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+            const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+            const std::size_t from = 8 * static_cast<std::size_t>(model_.order_[b]);
+            VolumePoint<S> p;
+            load_point(b, p, time, dt);
+            for (std::size_t l = 0; l < shown; ++l) {
+                const int lane = static_cast<int>(l);
+                const Vec3<Pack<T>> u = gather_value<T>(u_.data() + at(lane, 0, 0), stride_, rows, table);
+                const Vec3<Pack<T>> v = gather_value<T>(v_.data() + at(lane, 0, 0), stride_, rows, table);
+                const Mat3<Pack<T>> f = get_lane<Pack<T>>(p.deformation, lane);
+                for (int q = 0; q < 8; ++q) {
+                    const std::size_t i = l * points + from + static_cast<std::size_t>(q);
+                    for (int c = 0; c < 3; ++c) {
+                        const std::size_t to = 3 * i + static_cast<std::size_t>(c);
+                        s.position[to] = u[c][q];
+                        s.velocity[to] = v[c][q];
+                        if (l == 0) {
+                            s.position[to] += static_cast<T>(model_.geometry_.points[to]);
+                        }
+                        for (int j = 0; j < 3; ++j) {
+                            s.deformation[3 * to + static_cast<std::size_t>(j)] = f[c][j][q];
+                        }
+                    }
+                }
+            }
+        }
+        return s;
+    }
+
+    void hook_forces(double time, double dt) {
+        if (!inputs_.hook) {
+            return;
+        }
+        const PointState<T> state = hook_state(time, dt);
+        const PointForces<T> given = inputs_.hook->forward(state);
+        const std::size_t points = 8 * model_.rows_.size();
+        for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+            const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+            const std::size_t table = static_cast<std::size_t>(model_.table_[b]);
+            const std::size_t from = 8 * static_cast<std::size_t>(model_.order_[b]);
+            Mat3<S> stress;
+            for (int l = 0; l < state.lanes; ++l) {
+                const std::size_t first = static_cast<std::size_t>(l) * points + from;
+                if (!given.force.empty()) {
+                    scatter_value<T>(point_vectors(&given.force[3 * first]), f_.data() + at(l, 0, 0), stride_, rows, model_.values_[table]);
+                }
+                if (!given.stress.empty()) {
+                    set_lane(stress, l, point_matrices(&given.stress[9 * first]));
+                }
+            }
+            if (!given.stress.empty()) {
+                if (prestressed_) {
+                    stress = stress * transpose(f0_[b]);
+                }
+                stress = (-volume_[b]) * stress;
+                for (int l = 0; l < state.lanes; ++l) {
+                    scatter_gradient<T>(get_lane<Pack<T>>(stress, l), f_.data() + at(l, 0, 0), stride_, rows, model_.gradients_[table]);
+                }
+            }
+        }
+    }
+
+    /// Eight points' (3,) vectors or (3, 3) matrices, one after the other in memory.
+    static Vec3<Pack<T>> point_vectors(const T* from) {
+        Vec3<Pack<T>> r;
+        for (int q = 0; q < 8; ++q) {
+            for (int c = 0; c < 3; ++c) {
+                r[c][q] = from[3 * q + c];
+            }
+        }
+        return r;
+    }
+    static Mat3<Pack<T>> point_matrices(const T* from) {
+        Mat3<Pack<T>> r;
+        for (int q = 0; q < 8; ++q) {
+            for (int i = 0; i < 9; ++i) {
+                r[i / 3][i % 3][q] = from[9 * q + i];
+            }
+        }
+        return r;
     }
 
     void known_forces(int frame) {
