@@ -7,6 +7,7 @@
 
 #include "mphygs/checkpoint.hpp"
 #include "mphygs/transfers/mls_mpm_forces_reverse.hpp"
+#include "mphygs/transfers/mls_mpm_rows_reverse.hpp"
 #include "mphygs/transfers/mls_mpm_run.hpp"
 
 namespace mphygs {
@@ -227,12 +228,10 @@ class MlsMpmReverse {
         return r;
     }
 
-    void add_slope(const MlsTile<T, 0>& tile, int pack, const T* grid, const Box& box, Vec3<P>& x_bar) const {
-        for (int q = 0; q < lane_count; ++q) {
-            const Vec3<T> slope = contracted_slope<T>(tile, static_cast<std::size_t>(pack * lane_count + q), grid, model_.axis_, box);
-            for (std::size_t c = 0; c < 3; ++c) {
-                x_bar[model_.axis_[c]][q] += run_.inverse_spacing_ * slope[static_cast<int>(c)];
-            }
+    void add_slope(const TileSlope<T>& slope, int pack, Vec3<P>& x_bar) const {
+        for (std::size_t c = 0; c < 3; ++c) {
+            P& to = x_bar[model_.axis_[c]];
+            to += run_.inverse_spacing_ * load<T>(&slope.by[c][pack * lane_count]);
         }
     }
 
@@ -240,26 +239,26 @@ class MlsMpmReverse {
     void reverse_given(std::size_t c, std::size_t t, const MlsOrder<T>& order, const ParticlePoint<P>* points, const T* history,
                        ParticlePoint<P>* bars) {
         const CellRange limits = inside(bar_box_, bar_ranges_[c]);
-        CellRange ignored;
+        SeenRange<T> ignored;
         MlsTile<T, 0> tile, given;
         for (int k = 0; k < tile_packs; ++k) {
             const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
             locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, bar_box_, limits, ignored);
+            Vec3<P> momentum;
             Mat3<P> affine;
-            run_.forces_.evaluate(order, p, points[k], run_.state_.history.data(), tile.q[k], affine);
-            tile.n[k] = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * affine;
-            tile.mass[k] = run_.forces_.column(order, order.mass, p);
-            add_slope(tile, k, bar_grid_.data(), bar_box_, bars[k].x);
+            run_.forces_.evaluate(order, p, points[k], run_.state_.history.data(), momentum, affine);
+            tile.set_q(k, momentum);
+            tile.set_n(k, broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * affine);
+            tile.set_mass(k, run_.forces_.column(order, order.mass, p));
         }
-        given = tile;
-        gather<T, 0>(given, bar_grid_.data(), 0, model_.axis_, bar_box_);
+        TileSlope<T> slope;
+        reverse_scatter_rows<T>(tile, bar_grid_.data(), model_.axis_, bar_box_, given, slope);
         for (int k = 0; k < tile_packs; ++k) {
             GivenBars<T> g;
-            g.momentum = given.q[k];
-            g.affine = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * given.n[k];
-            for (int q = 0; q < lane_count; ++q) {
-                g.mass[q] = gather_fourth<T>(tile, static_cast<std::size_t>(k * lane_count + q), bar_grid_.data(), model_.axis_, bar_box_);
-            }
+            g.momentum = given.get_q(k);
+            g.affine = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * given.get_n(k);
+            g.mass = given.get_mass(k);
+            add_slope(slope, k, bars[k].x);
             forces_.reverse(order, t + static_cast<std::size_t>(k * lane_count), points[k], history, g, history_bar_.data(), bars[k],
                             particles_, sums_[c]);
         }
@@ -269,7 +268,7 @@ class MlsMpmReverse {
         const T h = static_cast<T>(table_.dt[static_cast<std::size_t>(n)]);
         const CellRange limits = inside(record.box, record.ranges[c]);
         const std::size_t size = record.order->size;
-        CellRange ignored;
+        SeenRange<T> ignored;
         MlsTile<T, 0> tile;
         for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
             ParticlePoint<P> points[tile_packs], bars[tile_packs];
@@ -278,11 +277,13 @@ class MlsMpmReverse {
                 points[k] = load_particles(record.x, record.f, size, t + static_cast<std::size_t>(k * lane_count));
                 locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
             }
-            gather<T, 0>(tile, record.grid.data(), 0, model_.axis_, record.box);
+            gather_tile<T, 0>(tile, record.grid.data(), 0, model_.axis_, record.box);
+            alignas(64) T velocity[3][tile_size];
+            std::memcpy(velocity, tile.q[0], sizeof velocity);
             for (int k = 0; k < tile_packs; ++k) {
                 const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                points[k].v = tile.q[k];
-                points[k].c = run_.affine_velocity(tile.n[k]);
+                points[k].v = tile.get_q(k);
+                points[k].c = run_.affine_velocity(tile.get_n(k));
                 before[k] = points[k].f;
                 points[k].x = points[k].x + broadcast<T>(h) * points[k].v;
                 points[k].f = points[k].f + broadcast<T>(h) * (points[k].c * points[k].f);
@@ -299,13 +300,16 @@ class MlsMpmReverse {
                 bar.v = bar.v + broadcast<T>(h) * bar.x;
                 bar.c = bar.c + broadcast<T>(h) * (bar.f * transpose(before[k]));
                 bar.f = bar.f + broadcast<T>(h) * (transpose(points[k].c) * bar.f);
-                tile.q[k] = bar.v;
-                tile.n[k] = run_.affine_velocity(bar.c);
-                tile.mass[k] = P{};
-                add_slope(tile, k, record.grid.data(), record.box, bar.x);
-                store_particles(bar, size, t + static_cast<std::size_t>(k * lane_count));
+                tile.set_q(k, bar.v);
+                tile.set_n(k, run_.affine_velocity(bar.c));
+                tile.set_mass(k, P{});
             }
-            scatter<T, 0>(tile, grids_.private_grid(c), 0, model_.axis_, record.box);
+            TileSlope<T> slope;
+            reverse_gather_rows<T>(tile, velocity, record.grid.data(), grids_.private_grid(c), model_.axis_, record.box, slope);
+            for (int k = 0; k < tile_packs; ++k) {
+                add_slope(slope, k, bars[k].x);
+                store_particles(bars[k], size, t + static_cast<std::size_t>(k * lane_count));
+            }
         }
     }
 
@@ -336,9 +340,9 @@ class MlsMpmReverse {
         run_.forces_.refresh(0);
         clear_sums();
         start_tiles(record, [&](std::size_t c, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
-            gather<T, 0>(tile, grid.back().data(), 0, model_.axis_, record.box);
+            gather_tile<T, 0>(tile, grid.back().data(), 0, model_.axis_, record.box);
             for (int k = 0; k < tile_packs; ++k) {
-                points[k].c = run_.affine_velocity(tile.n[k]);
+                points[k].c = run_.affine_velocity(tile.get_n(k));
                 add_seeds(0, *record.order, t + static_cast<std::size_t>(k * lane_count), bars[k]);
             }
             reverse_given(c, t, *record.order, points, no_history.data(), bars);
@@ -349,14 +353,20 @@ class MlsMpmReverse {
             const MlsState<T> here{record.order, {}, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
             grids_.prepare(record.box, record.ranges);
             start_tiles(record, [&](std::size_t c, std::size_t, MlsTile<T, 0>& tile, ParticlePoint<P>*, ParticlePoint<P>* bars) {
+                gather_tile<T, 0>(tile, here.grid.data(), 0, model_.axis_, record.box);
+                alignas(64) T velocity[3][tile_size];
+                std::memcpy(velocity, tile.q[0], sizeof velocity);
                 for (int k = 0; k < tile_packs; ++k) {
-                    tile.q[k] = {};
-                    tile.n[k] = run_.affine_velocity(bars[k].c);
-                    tile.mass[k] = P{};
+                    tile.set_q(k, {});
+                    tile.set_n(k, run_.affine_velocity(bars[k].c));
+                    tile.set_mass(k, P{});
                     bars[k].c = {};
-                    add_slope(tile, k, here.grid.data(), record.box, bars[k].x);
                 }
-                scatter<T, 0>(tile, grids_.private_grid(c), 0, model_.axis_, record.box);
+                TileSlope<T> slope;
+                reverse_gather_rows<T>(tile, velocity, here.grid.data(), grids_.private_grid(c), model_.axis_, record.box, slope);
+                for (int k = 0; k < tile_packs; ++k) {
+                    add_slope(slope, k, bars[k].x);
+                }
             });
             grid_bar(here);
             // ... to which m v_0 and m C of this round were given.
@@ -364,17 +374,17 @@ class MlsMpmReverse {
             start_tiles(record, [&](std::size_t, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
                 for (int k = 0; k < tile_packs; ++k) {
                     run_.give_velocity(tile, k, t + static_cast<std::size_t>(k * lane_count), points[k]);
-                    add_slope(tile, k, bar_grid_.data(), record.box, bars[k].x);
                 }
-                gather<T, 0>(tile, bar_grid_.data(), 0, model_.axis_, record.box);
+                MlsTile<T, 0> given;
+                TileSlope<T> slope;
+                reverse_scatter_rows<T>(tile, bar_grid_.data(), model_.axis_, record.box, given, slope);
                 for (int k = 0; k < tile_packs; ++k) {
-                    const P mass = tile.mass[k];
-                    const Mat3<P> affine_bar = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * tile.n[k];
-                    P mass_bar = dot(tile.q[k], points[k].v) + inner(affine_bar, points[k].c);
-                    for (int q = 0; q < lane_count; ++q) {
-                        mass_bar[q] += gather_fourth<T>(tile, static_cast<std::size_t>(k * lane_count + q), bar_grid_.data(), model_.axis_, record.box);
-                    }
-                    bars[k].v = bars[k].v + mass * tile.q[k];
+                    add_slope(slope, k, bars[k].x);
+                    const P mass = tile.get_mass(k);
+                    const Vec3<P> momentum_bar = given.get_q(k);
+                    const Mat3<P> affine_bar = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * given.get_n(k);
+                    const P mass_bar = given.get_mass(k) + dot(momentum_bar, points[k].v) + inner(affine_bar, points[k].c);
+                    bars[k].v = bars[k].v + mass * momentum_bar;
                     bars[k].c = bars[k].c + mass * affine_bar;
                     T* to = &particles_.mass[t + static_cast<std::size_t>(k * lane_count)];
                     store<T>(to, load<T>(to) + mass_bar);
@@ -389,7 +399,7 @@ class MlsMpmReverse {
         const std::size_t size = record.order->size;
         for (std::size_t c = 0; c < record.ranges.size(); ++c) {
             const CellRange limits = inside(record.box, record.ranges[c]);
-            CellRange ignored;
+            SeenRange<T> ignored;
             MlsTile<T, 0> tile;
             for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
                 ParticlePoint<P> points[tile_packs], bars[tile_packs];

@@ -12,6 +12,7 @@
 #include "mphygs/parallel.hpp"
 #include "mphygs/transfers/mls_mpm_forces.hpp"
 #include "mphygs/transfers/mls_mpm_grids.hpp"
+#include "mphygs/transfers/mls_mpm_rows.hpp"
 
 namespace mphygs {
 
@@ -131,7 +132,7 @@ class MlsMpmRun {
         std::vector<T> history = state_.history;
         for (std::size_t c = 0; c < state_.ranges.size(); ++c) {
             const CellRange inside = limits(c, box, 0);
-            CellRange seen;
+            SeenRange<T> seen;
             MlsTile<T, K> tile;
             for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
                 ParticlePoint<S> points[tile_packs];
@@ -139,21 +140,22 @@ class MlsMpmRun {
                     points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count));
                     locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
                 }
-                gather<T, K>(tile, state_.grid.data(), numbers, model_.axis_, box);
+                gather_tile<T, K>(tile, state_.grid.data(), numbers, model_.axis_, box);
                 for (int k = 0; k < tile_packs; ++k) {
                     const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                    const Mat3<S> gradient = affine_velocity(tile.n[k]);
+                    const Mat3<S> gradient = affine_velocity(tile.get_n(k));
                     if (rates) {
-                        points[k].v = tile.q[k];
+                        points[k].v = tile.get_q(k);
                         points[k].c = gradient;
                     } else {
                         points[k].f = points[k].f + gradient * points[k].f;
                     }
                     give(tile, k, p, points[k], history.data());
-                    tile.q[k] = tile.q[k] - tile.mass[k] * points[k].v;
-                    tile.n[k] = tile.n[k] - (static_cast<T>(model_.geometry_.spacing) * tile.mass[k]) * points[k].c;
+                    const S mass = tile.get_mass(k);
+                    tile.set_q(k, tile.get_q(k) - mass * points[k].v);
+                    tile.set_n(k, tile.get_n(k) - (static_cast<T>(model_.geometry_.spacing) * mass) * points[k].c);
                 }
-                scatter<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
+                scatter_tile<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
             }
         }
         grids_.reduce(box, state_.ranges, 1, state_.grid);
@@ -352,10 +354,12 @@ class MlsMpmRun {
     }
 
     void give(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point, T* history) const {
+        Vec3<S> momentum;
         Mat3<S> affine;
-        forces_.evaluate(*state_.order, p, point, history, tile.q[pack], affine);
-        tile.n[pack] = constant<S>(static_cast<T>(model_.geometry_.spacing)) * affine;
-        tile.mass[pack] = forces_.column(*state_.order, state_.order->mass, p);
+        forces_.evaluate(*state_.order, p, point, history, momentum, affine);
+        tile.set_q(pack, momentum);
+        tile.set_n(pack, constant<S>(static_cast<T>(model_.geometry_.spacing)) * affine);
+        tile.set_mass(pack, forces_.column(*state_.order, state_.order->mass, p));
     }
 
     ParticlePoint<S> load_start(std::size_t p) const {
@@ -375,7 +379,7 @@ class MlsMpmRun {
 
     void start_chunk(std::size_t c, const Box& box, bool improve, bool real) {
         const CellRange inside = limits(c, box, 0);
-        CellRange seen;
+        SeenRange<T> seen;
         MlsTile<T, K> tile;
         const std::size_t n = size();
         for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
@@ -385,12 +389,12 @@ class MlsMpmRun {
                 locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
             }
             if (improve) {
-                gather<T, K>(tile, state_.grid.data(), 4 * box.nodes(), model_.axis_, box);
+                gather_tile<T, K>(tile, state_.grid.data(), 4 * box.nodes(), model_.axis_, box);
             }
             for (int k = 0; k < tile_packs; ++k) {
                 const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
                 if (improve) {
-                    points[k].c = affine_velocity(tile.n[k]);
+                    points[k].c = affine_velocity(tile.get_n(k));
                     for (int l = 0; l < lanes; ++l) {
                         for (std::size_t e = 0; e < 9; ++e) {
                             store<T>(&start_affine_[(9 * static_cast<std::size_t>(l) + e) * n + p], lane_of(points[k].c.e[e / 3][e % 3], l));
@@ -403,18 +407,20 @@ class MlsMpmRun {
                     give_velocity(tile, k, p, points[k]);
                 }
             }
-            scatter<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
+            scatter_tile<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
         }
     }
     void give_velocity(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point) const {
-        tile.mass[pack] = forces_.column(*state_.order, state_.order->mass, p);
-        tile.q[pack] = tile.mass[pack] * point.v;
-        tile.n[pack] = (static_cast<T>(model_.geometry_.spacing) * tile.mass[pack]) * point.c;
+        const S mass = forces_.column(*state_.order, state_.order->mass, p);
+        tile.set_mass(pack, mass);
+        tile.set_q(pack, mass * point.v);
+        tile.set_n(pack, (static_cast<T>(model_.geometry_.spacing) * mass) * point.c);
     }
 
-    void advance_chunk(std::size_t c, T h, const Box& next, bool forces, bool output, CellRange& seen) {
+    void advance_chunk(std::size_t c, T h, const Box& next, bool forces, bool output, CellRange& range) {
+        SeenRange<T> seen;
         const CellRange now = limits(c, state_.box, 0), then = limits(c, next, 1);
-        CellRange ignored;
+        SeenRange<T> ignored;
         MlsTile<T, K> tile;
         T* out = forces ? grids_.private_grid(c) : nullptr;
         const std::size_t n = size();
@@ -424,12 +430,12 @@ class MlsMpmRun {
                 points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count));
                 locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, state_.box, now, ignored);
             }
-            gather<T, K>(tile, state_.grid.data(), 4 * state_.box.nodes(), model_.axis_, state_.box);
+            gather_tile<T, K>(tile, state_.grid.data(), 4 * state_.box.nodes(), model_.axis_, state_.box);
             for (int k = 0; k < tile_packs; ++k) {
                 const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
                 ParticlePoint<S>& point = points[k];
-                point.v = tile.q[k];
-                point.c = affine_velocity(tile.n[k]);
+                point.v = tile.get_q(k);
+                point.c = affine_velocity(tile.get_n(k));
                 for (int a = 0; a < 3; ++a) {
                     point.x[a] = point.x[a] + h * point.v[a];
                 }
@@ -446,17 +452,23 @@ class MlsMpmRun {
                         store<T>(&state_.f[(9 * lane + a) * n + p], lane_of(point.f.e[a / 3][a % 3], l));
                     }
                 }
-                if (!locate(tile, k, point.x, inverse_spacing_, model_.axis_, next, then, seen) && failed_[c] < 0) {
-                    failed_[c] = static_cast<long>(p);
+                const PackMask<T> bad = locate(tile, k, point.x, inverse_spacing_, model_.axis_, next, then, seen);
+                if (any(bad) && failed_[c] < 0) {
+                    int q = 0;
+                    while (bad[q] == 0) {
+                        ++q;
+                    }
+                    failed_[c] = static_cast<long>(p) + q;
                 }
                 if (forces) {
                     give(tile, k, p, point, state_.history.data());
                 }
             }
             if (forces) {
-                scatter<T, K>(tile, out, grids_.lane_stride(c), model_.axis_, next);
+                scatter_tile<T, K>(tile, out, grids_.lane_stride(c), model_.axis_, next);
             }
         }
+        range = seen.range();
     }
 
     [[noreturn]] void stop(std::size_t p, int frame, double time, const std::string& cause) const {

@@ -1,8 +1,8 @@
 // A tile of particles on the grid: where each one stands, and what passes between it and the nodes.
 //
 // All in cell units: s is the distance from the nearest node in spacings, by memory axis. What a
-// particle gives to node i is w_i (q + n (i - s)), what it takes is v = sum w_i V_i and
-// m = sum w_i V_i (i - s)^T, i in {-1, 0, 1}^3. Columns of n and m are coordinates, not memory axes.
+// particle gives to node i is w_i (q + n (i - s)), what it takes is q = sum w_i V_i and
+// n = sum w_i V_i (i - s)^T, i in {-1, 0, 1}^3. Columns of n are coordinates, not memory axes.
 #pragma once
 
 #include "mphygs/kernel.hpp"
@@ -10,52 +10,122 @@
 
 namespace mphygs {
 
+/// Numbers of a tile lie particle by particle, number by number, lane by lane.
 template <class T, int K>
 struct MlsTile {
     using S = PackScalar<T, K>;
-    Vec3<S> s[tile_packs];             // by memory axis
-    std::int32_t corner[tile_size];    // first of the 27 nodes in the box
-    Vec3<S> q[tile_packs];             // momentum (scatter) or velocity (gather)
-    Mat3<S> n[tile_packs];             // affine part (scatter) or moment (gather)
-    S mass[tile_packs];
+    static constexpr int lanes = K + 1;
+    alignas(64) T s[lanes][3][tile_size];  // by memory axis
+    alignas(64) T q[lanes][3][tile_size];  // momentum (scatter) or velocity (gather)
+    alignas(64) T n[lanes][9][tile_size];  // affine part (scatter) or moment (gather)
+    alignas(64) T mass[lanes][tile_size];  // the fourth number of a node
+    alignas(64) std::int32_t corner[tile_size];  // first of the 27 nodes in the box
+
+    Vec3<S> get_q(int pack) const {
+        Vec3<S> r;
+        for (int c = 0; c < 3; ++c) {
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(r[c], l) = load<T>(&q[l][c][pack * lane_count]);
+            }
+        }
+        return r;
+    }
+    Mat3<S> get_n(int pack) const {
+        Mat3<S> r;
+        for (int e = 0; e < 9; ++e) {
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(r[e / 3][e % 3], l) = load<T>(&n[l][e][pack * lane_count]);
+            }
+        }
+        return r;
+    }
+    void set_q(int pack, const Vec3<S>& value) {
+        for (int c = 0; c < 3; ++c) {
+            for (int l = 0; l < lanes; ++l) {
+                store<T>(&q[l][c][pack * lane_count], lane_of(value[c], l));
+            }
+        }
+    }
+    void set_n(int pack, const Mat3<S>& value) {
+        for (int e = 0; e < 9; ++e) {
+            for (int l = 0; l < lanes; ++l) {
+                store<T>(&n[l][e][pack * lane_count], lane_of(value[e / 3][e % 3], l));
+            }
+        }
+    }
+    S get_mass(int pack) const {
+        S r{};
+        for (int l = 0; l < lanes; ++l) {
+            lane_of(r, l) = load<T>(&mass[l][pack * lane_count]);
+        }
+        return r;
+    }
+    void set_mass(int pack, const S& value) {
+        for (int l = 0; l < lanes; ++l) {
+            store<T>(&mass[l][pack * lane_count], lane_of(value, l));
+        }
+    }
 };
 
 /// Nearest whole number; the magic number makes the addition round.
 inline Pack<float> nearest(Pack<float> x) { return (x + 12582912.0f) - 12582912.0f; }
 inline Pack<double> nearest(Pack<double> x) { return (x + 6755399441055744.0) - 6755399441055744.0; }
 
-/// Stands a pack of particles on a box. Returns false where one is not finite or outside the
+/// Smallest and largest nearest node so far, lane by lane.
+template <class T>
+struct SeenRange {
+    Pack<T> low[3], high[3];
+    SeenRange() {
+        for (int c = 0; c < 3; ++c) {
+            low[c] = broadcast<T>(T(1 << 29));
+            high[c] = -low[c];
+        }
+    }
+    CellRange range() const {
+        CellRange r;
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (int q = 0; q < lane_count; ++q) {
+                r.low[c] = std::min(r.low[c], static_cast<int>(low[c][q]));
+                r.high[c] = std::max(r.high[c], static_cast<int>(high[c][q]));
+            }
+        }
+        return r;
+    }
+};
+
+/// Stands a pack of particles on a box. Returns a mask of those that are not finite or outside the
 /// limits (nearest nodes by memory axis); such a particle is put inside, so that memory is safe.
 template <class T, int K>
-inline bool locate(MlsTile<T, K>& tile, int pack, const Vec3<PackScalar<T, K>>& x, T inverse_spacing,
-                   const std::array<int, 3>& axis, const Box& box, const CellRange& limits, CellRange& seen) {
-    using M = PackMask<T>;
-    M corner{}, bad{};
+inline PackMask<T> locate(MlsTile<T, K>& tile, int pack, const Vec3<PackScalar<T, K>>& x, T inverse_spacing,
+                          const std::array<int, 3>& axis, const Box& box, const CellRange& limits, SeenRange<T>& seen) {
+    PackMask<T> corner{}, bad{};
+    const int at = pack * lane_count;
     for (std::size_t c = 0; c < 3; ++c) {
         const PackScalar<T, K>& coordinate = x[axis[c]];
         const Pack<T> scaled = lane_of(coordinate, 0) * inverse_spacing;
         const Pack<T> wanted = nearest(scaled);
         const Pack<T> low = broadcast<T>(static_cast<T>(limits.low[c]));
         const Pack<T> high = broadcast<T>(static_cast<T>(limits.high[c]));
-        const Pack<T> node = wanted >= low ? (wanted <= high ? wanted : high) : low;  // low for what is no number
+        const Pack<T> above = wanted >= low ? wanted : low;  // low for what is no number
+        const Pack<T> node = above <= high ? above : high;
         bad |= ~(node == wanted);
+        store<T>(&tile.s[0][c][at], scaled - node);
         for (int l = 1; l <= K; ++l) {
-            lane_of(tile.s[pack][static_cast<int>(c)], l) = lane_of(coordinate, l) * inverse_spacing;
+            store<T>(&tile.s[l][c][at], lane_of(coordinate, l) * inverse_spacing);
         }
-        lane_of(tile.s[pack][static_cast<int>(c)], 0) = scaled - node;
-        const M index = __builtin_convertvector(node, M);
-        for (int i = 0; i < lane_count; ++i) {
-            seen.low[c] = std::min(seen.low[c], static_cast<int>(index[i]));
-            seen.high[c] = std::max(seen.high[c], static_cast<int>(index[i]));
-        }
-        corner = corner * box.count[c] + (index - 1 - box.low[c]);
+        seen.low[c] = seen.low[c] < node ? seen.low[c] : node;
+        seen.high[c] = seen.high[c] > node ? seen.high[c] : node;
+        corner = corner * box.count[c] + (__builtin_convertvector(node, PackMask<T>) - 1 - box.low[c]);
     }
-    bool good = true;
-    for (int i = 0; i < lane_count; ++i) {
-        tile.corner[pack * lane_count + i] = static_cast<std::int32_t>(corner[i]);
-        good &= bad[i] == 0;
-    }
-    return good;
+    using Narrow __attribute__((vector_size(32))) = std::int32_t;
+    const Narrow corners = __builtin_convertvector(corner, Narrow);
+    std::memcpy(&tile.corner[at], &corners, sizeof corners);
+    return bad;
+}
+template <class M>
+inline bool any(const M& mask) {
+    M none{};
+    return std::memcmp(&mask, &none, sizeof mask) != 0;
 }
 
 }  // namespace mphygs

@@ -1,0 +1,136 @@
+// Vectors of the MLS-MPM row kernels, and the change between "a particle a row" and "a number a row".
+//
+// Row: sixteen numbers, four grid nodes {x, y, z, m}. Wide: as many particles as a 64-byte register
+// holds. All are compiler vectors: what the target lacks is split by the compiler.
+#pragma once
+
+#include "mphygs/transfers/mls_mpm_tile.hpp"
+#include "mphygs/transfers/spline_tables.hpp"  // RowOf: four numbers
+
+namespace mphygs {
+
+template <class T>
+struct MlsVector;
+template <>
+struct MlsVector<float> {
+    using row __attribute__((vector_size(64))) = float;
+    using wide __attribute__((vector_size(64))) = float;
+    static constexpr int wide_count = 16;
+};
+template <>
+struct MlsVector<double> {
+    using row __attribute__((vector_size(128))) = double;
+    using wide __attribute__((vector_size(64))) = double;
+    static constexpr int wide_count = 8;
+};
+template <class T>
+using Row = typename MlsVector<T>::row;
+template <class T>
+using Quad = typename RowOf<T>::type;
+template <class T>
+using Wide = typename MlsVector<T>::wide;
+
+template <class V, class T>
+inline V read(const T* p) {
+    V v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+}
+template <class V, class T>
+inline void write(T* p, const V& v) {
+    std::memcpy(p, &v, sizeof v);
+}
+
+/// Block k of four numbers, four times.
+template <int k, class R>
+inline R repeat(R r) {
+    constexpr int i = 4 * k;
+    return __builtin_shufflevector(r, r, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3);
+}
+/// Each of the first four numbers four times.
+template <class R>
+inline R stretch(R r) {
+    return __builtin_shufflevector(r, r, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+}
+/// The four numbers of which a (b, c, d) has four each, summed over the nodes: {a, b, c, d}.
+template <class R>
+inline R sum_nodes(R a, R b, R c, R d) {
+    const R ab = __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23) +
+                 __builtin_shufflevector(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31);
+    const R cd = __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23) +
+                 __builtin_shufflevector(c, d, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31);
+    return __builtin_shufflevector(ab, cd, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27) +
+           __builtin_shufflevector(ab, cd, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31);
+}
+
+/// Transposes sixteen rows of sixteen numbers, `stride` apart; to[j]: where column j goes, if anywhere.
+template <class T>
+inline void transpose_rows(const T* from, std::size_t stride, T* const* to) {
+    for (int i = 0; i < 16; ++i) {
+        for (int j = 0; j < 16; ++j) {
+            if (to[j]) {
+                to[j][i] = from[stride * static_cast<std::size_t>(i) + static_cast<std::size_t>(j)];
+            }
+        }
+    }
+}
+
+namespace detail {
+using F = Row<float>;
+inline F low32(F a, F b) { return __builtin_shufflevector(a, b, 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29); }
+inline F high32(F a, F b) { return __builtin_shufflevector(a, b, 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31); }
+inline F low64(F a, F b) { return __builtin_shufflevector(a, b, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29); }
+inline F high64(F a, F b) { return __builtin_shufflevector(a, b, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31); }
+inline F even128(F a, F b) { return __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27); }
+inline F odd128(F a, F b) { return __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31); }
+
+struct Four {
+    F a, b, c, d;
+};
+/// 4x4 blocks of numbers, transposed within each.
+inline Four transpose_small(F a, F b, F c, F d) {
+    const F ab = low32(a, b), cd = low32(c, d), ef = high32(a, b), gh = high32(c, d);
+    return {low64(ab, cd), high64(ab, cd), low64(ef, gh), high64(ef, gh)};
+}
+/// The blocks themselves.
+inline Four transpose_blocks(F a, F b, F c, F d) {
+    const F e = even128(a, b), f = even128(c, d), o = odd128(a, b), p = odd128(c, d);
+    return {even128(e, f), even128(o, p), odd128(e, f), odd128(o, p)};
+}
+}  // namespace detail
+
+/// {a, b, c, 0} of each particle, one after the other.
+inline void write_quads(float* to, detail::F a, detail::F b, detail::F c) {
+    const detail::Four small = detail::transpose_small(a, b, c, detail::F{});
+    const detail::Four blocks = detail::transpose_blocks(small.a, small.b, small.c, small.d);
+    write(to, blocks.a), write(to + 16, blocks.b), write(to + 32, blocks.c), write(to + 48, blocks.d);
+}
+inline void write_quads(double* to, Wide<double> a, Wide<double> b, Wide<double> c) {
+    for (int i = 0; i < 8; ++i) {
+        to[4 * i] = a[i], to[4 * i + 1] = b[i], to[4 * i + 2] = c[i], to[4 * i + 3] = 0;
+    }
+}
+
+template <>
+inline void transpose_rows<float>(const float* from, std::size_t stride, float* const* to) {
+    using namespace detail;
+    const auto row = [&](std::size_t i) { return read<F>(from + stride * i); };
+    const Four g0 = transpose_small(row(0), row(1), row(2), row(3));
+    const Four g1 = transpose_small(row(4), row(5), row(6), row(7));
+    const Four g2 = transpose_small(row(8), row(9), row(10), row(11));
+    const Four g3 = transpose_small(row(12), row(13), row(14), row(15));
+    const auto put = [&](int j, const Four& c) {
+        if (to[j]) write(to[j], c.a);
+        if (to[j + 4]) write(to[j + 4], c.b);
+        if (to[j + 8]) write(to[j + 8], c.c);
+        if (to[j + 12]) write(to[j + 12], c.d);
+    };
+    put(0, transpose_blocks(g0.a, g1.a, g2.a, g3.a));
+    put(1, transpose_blocks(g0.b, g1.b, g2.b, g3.b));
+    put(2, transpose_blocks(g0.c, g1.c, g2.c, g3.c));
+    if (to[3]) {
+        put(3, transpose_blocks(g0.d, g1.d, g2.d, g3.d));
+    }
+}
+
+}  // namespace mphygs
