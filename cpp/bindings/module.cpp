@@ -8,7 +8,8 @@ void bind_equilibrium(pybind11::module_& m);
 void bind_mls_mpm(pybind11::module_& m);
 }  // namespace mphygs_python
 
-PYBIND11_MODULE(_core, m) {
+// The build names the module: _core, or _core_v3 and its kind in a portable wheel.
+PYBIND11_MODULE(MPHYGS_MODULE, m) {
     m.doc() = "mphygs core: continuum simulation with exact derivatives.";
     mphygs_python::bind_registry(m);
     mphygs_python::bind_total_lagrangian(m);
