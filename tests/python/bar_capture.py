@@ -60,8 +60,8 @@ def bar_capture(
         parts = [Part(p.name, p.vertices @ rotation.T, p.faces) for p in parts]
         gravity = rotation @ gravity
     if markers_at is None:
-        markers_at = np.array([[x * ends[-1], y * side, z * depth] for x, y, z in
-                               ((1.0, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.0, 0.5), (0.4, 0.5, 1.0))])  # fmt: skip
+        shares = np.array([[1.0, 0.5, 0.5], [1.0, 1.0, 1.0], [0.7, 0.0, 0.5], [0.4, 0.5, 1.0]])
+        markers_at = shares * [ends[-1], side, depth]
         if rotation is not None:
             markers_at = markers_at @ rotation.T
     if position is None:

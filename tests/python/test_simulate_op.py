@@ -49,9 +49,9 @@ def all_fields(
     random = np.random.default_rng(0)
     fields = primal(belief, body)
     blocks, nodes = body.block_count, model.node_count
-    fields["deformation0"] = np.tile(
-        np.eye(3).reshape(9, 1), (blocks, 1, 8)
-    ) + 0.02 * random.standard_normal((blocks, 9, 8))
+    fields["deformation0"] = np.tile(np.eye(3).reshape(9, 1), (blocks, 1, 8)) + 0.02 * random.standard_normal(
+        (blocks, 9, 8)
+    )
     fields["displacement0"] = 1e-4 * random.standard_normal((nodes, 3))
     fields["velocity0"] = 0.1 * random.standard_normal((nodes, 3))
     fields["node_force"] = 1e-3 * random.standard_normal((len(STEPS), nodes, 3))
@@ -114,9 +114,7 @@ def test_gradcheck_of_single_entries() -> None:
 
         def run(change: torch.Tensor, name: str = name) -> torch.Tensor:
             scale = fields[name].abs().max().clamp_min(1e-2)
-            padded = torch.cat(
-                [change, torch.zeros(fields[name].numel() - len(change), dtype=torch.float64)]
-            )
+            padded = torch.cat([change, torch.zeros(fields[name].numel() - len(change), dtype=torch.float64)])
             return (
                 1e3
                 * rollout(
@@ -300,7 +298,8 @@ def test_rest_shape_derivatives_by_differences() -> None:
     with pytest.raises(ValueError, match="published volume"):
         stress_free_state(
             solver, mu=fields["mu"], lame_lambda=fields["lambda"], effect=fields["effect"],
-            load=torch.zeros(model.node_count, 3, dtype=torch.float64), volume=volume.clone().requires_grad_(),
+            load=torch.zeros(model.node_count, 3, dtype=torch.float64),
+            volume=volume.clone().requires_grad_(),
         )  # fmt: skip
 
 

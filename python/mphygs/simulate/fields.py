@@ -149,7 +149,9 @@ def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.
         out = np.zeros((len(places(belief)), place_count))
         out[_place_index(belief, owner), place_offsets[owner] + index] = parameter.slope
         return {"place_effect": out}
-    if spec.site in ("measurement", "user"):
+    if spec.site == "user":
+        return {}  # the hook carries it
+    if spec.site == "measurement":
         raise KeyError(parameter.key)
     out = np.zeros(len(core_parameter_nulls()))
     out[core_parameter_offsets()[owner] + index] = parameter.slope

@@ -76,7 +76,8 @@ class MarkerMap:
         node, value, gradient = model.weights(anchor, cell)
         return cls(
             torch.as_tensor(anchor, dtype=dtype), torch.as_tensor(offset, dtype=dtype),
-            torch.from_numpy(node.astype(np.int64)), torch.from_numpy(value).to(dtype), torch.from_numpy(gradient).to(dtype),
+            torch.from_numpy(node.astype(np.int64)), torch.from_numpy(value).to(dtype),
+            torch.from_numpy(gradient).to(dtype),
         )  # fmt: skip
 
     def positions(self, displacement: Tensor) -> Tensor:

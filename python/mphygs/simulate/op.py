@@ -16,12 +16,16 @@ import torch
 from torch import Tensor
 
 from mphygs import _core
+from mphygs.simulate.body import Body
+from mphygs.simulate.user_forces import UserForces
 
 FIELD_NAMES = (
     "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
     "gravity", "displacement0", "velocity0", "node_force", "pose",
 )  # fmt: skip
-NO_SECOND_DERIVATIVE = "a rollout has first derivatives only: expected backward() without create_graph, or one forward-mode level"
+NO_SECOND_DERIVATIVE = (
+    "a rollout has first derivatives only: expected backward() without create_graph, one forward level"
+)
 NO_BATCHED_INPUTS = "vmap over the inputs of a rollout: expected windows in one call instead"
 
 NodeState = tuple[Tensor, Tensor]
@@ -39,13 +43,44 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
+class UserTerms:
+    """Effects in Python that a rollout includes.
+
+    names: registered effects; parameters: (Q,) their values, one effect after the other; body: the object that
+    the model was built from.
+    """
+
+    names: tuple[str, ...]
+    parameters: Tensor
+    body: Body
+
+
+@dataclass(frozen=True, eq=False)
 class _Plan:
-    """What of a call is not a tensor. slots: per window, field name -> index among the tensors."""
+    """What of a call is not a tensor. slots: per window, field name -> index among the tensors; with effects
+    in Python the last tensor holds their parameters."""
 
     model: object
     schedules: tuple[dict, ...]
     slots: tuple[dict[str, int], ...]
     workers: int
+    user_names: tuple[str, ...] = ()
+    user_body: Body | None = None
+
+    def hook(
+        self,
+        window: int,
+        arrays: Sequence[np.ndarray],
+        directions: Sequence[Sequence[np.ndarray | None]] = (),
+    ) -> UserForces | None:
+        if self.user_body is None:
+            return None
+        mass = self.slots[window]["mass"]
+        zero = np.zeros_like(arrays[-1])
+        return UserForces(
+            self.user_names, arrays[-1], mass=arrays[mass], body=self.user_body, dtype=arrays[-1].dtype.type,
+            directions=[(zero if d[-1] is None else d[-1], d[mass]) for d in directions],
+        )  # fmt: skip
 
     def fields(self, window: int, arrays: Sequence[np.ndarray | None]) -> dict[str, np.ndarray]:
         return {name: arrays[i] for name, i in self.slots[window].items() if arrays[i] is not None}
@@ -67,7 +102,11 @@ class _Rollout(torch.autograd.Function):
     @staticmethod
     def forward(plan: _Plan, *tensors: Tensor) -> tuple[Tensor, ...]:
         arrays = [_array(t) for t in tensors]
-        runs = plan.each(lambda w: plan.model.simulate(plan.fields(w, arrays), plan.schedules[w]))
+        runs = plan.each(
+            lambda w: plan.model.simulate(
+                plan.fields(w, arrays), plan.schedules[w], None, plan.hook(w, arrays)
+            )
+        )
         return tuple(torch.from_numpy(a) for run in runs for a in run)
 
     @staticmethod
@@ -106,21 +145,31 @@ class _Gradient(torch.autograd.Function):
         arrays = [_array(t) for t in inputs]
         empty = np.zeros(0, arrays[0].dtype)
 
-        def work(window: int) -> dict[str, np.ndarray]:
+        def work(window: int) -> tuple[dict[str, np.ndarray], UserForces | None]:
             u, v = (empty if b is None else _array(b) for b in bars[2 * window : 2 * window + 2])
             if not u.size and not v.size:
-                return {}
-            return plan.model.adjoint(plan.fields(window, arrays), plan.schedules[window], u, v)[0]
+                return {}, None
+            hook = plan.hook(window, arrays)
+            fields = plan.fields(window, arrays)
+            return plan.model.adjoint(fields, plan.schedules[window], u, v, None, hook)[0], hook
 
         sums: list[np.ndarray | None] = [
             np.zeros_like(a) if w else None for a, w in zip(arrays, wanted, strict=True)
         ]
-        for slots, gradient in zip(plan.slots, plan.each(work), strict=True):
+
+        def add(index: int, gradient: np.ndarray) -> None:
+            total = sums[index]
+            # The core returns nothing for what no active effect reads.
+            if total is not None and gradient.size:
+                total += gradient.reshape(total.shape).astype(total.dtype, copy=False)
+
+        for slots, (gradient, hook) in zip(plan.slots, plan.each(work), strict=True):
             for name, i in slots.items():
-                total = sums[i]
-                # The core returns nothing for what no active effect reads.
-                if total is not None and name in gradient and gradient[name].size:
-                    total += gradient[name].reshape(total.shape)
+                if name in gradient:
+                    add(i, gradient[name])
+            if hook is not None:
+                add(slots["mass"], hook.mass_bar)
+                add(len(arrays) - 1, hook.parameter_bar)
         return tuple(None if s is None else torch.from_numpy(s) for s in sums)
 
     @staticmethod
@@ -180,21 +229,27 @@ def _tangents(
 
     def work(window: int) -> list:
         fields = [plan.fields(window, direction) for direction in directions]
-        return plan.model.tangent(plan.fields(window, arrays), fields, plan.schedules[window])[1:]
+        hook = plan.hook(window, arrays, directions)
+        return plan.model.tangent(plan.fields(window, arrays), fields, plan.schedules[window], None, hook)[1:]
 
     runs = plan.each(work)
     return [np.stack([tangent[part] for tangent in run]) for run in runs for part in range(2)]
 
 
 def rollout_windows(
-    model: object, shared: Mapping[str, Tensor], windows: Sequence[Window], *, workers: int = 1
+    model: object,
+    shared: Mapping[str, Tensor],
+    windows: Sequence[Window],
+    *,
+    workers: int = 1,
+    user: UserTerms | None = None,
 ) -> tuple[NodeState, ...]:
     """Node displacement (F + 1, N, 3) [m] and velocity (F + 1, N, 3) [m/s] of every window at its frames.
 
     model: a compiled TotalLagrangianFloat32 or Float64, which holds the memory budget of the adjoint;
     shared: fields of all windows, named as in FIELD_NAMES, in the model's precision; workers: windows run
-    side by side. Differentiable by every field, backward and forward; torch.func.jacfwd carries all
-    directions in one run. The result does not depend on `workers`, to the bit.
+    side by side; user: effects in Python. Differentiable by every field and by the user's parameters, backward
+    and forward; torch.func.jacfwd carries all directions in one run. The result does not depend on `workers`, to the bit.
 
     Raises ValueError for an unknown field, another precision or a wrong size, SimulationError for an
     unstable run, NotImplementedError for second derivatives.
@@ -206,28 +261,37 @@ def rollout_windows(
     dtype = torch.float32 if isinstance(model, _core.TotalLagrangianFloat32) else torch.float64
     tensors: list[Tensor] = []
 
+    def keep(tensor: Tensor, what: str) -> int:
+        if tensor.dtype != dtype or tensor.device.type != "cpu":
+            raise ValueError(f"{what} is {tensor.dtype} on {tensor.device}, expected {dtype} on cpu")
+        tensors.append(tensor)
+        return len(tensors) - 1
+
     def indices(fields: Mapping[str, Tensor], where: str) -> dict[str, int]:
         found = {}
         for name, tensor in fields.items():
             if name not in FIELD_NAMES:
-                raise ValueError(
-                    f"{where}: unknown field '{name}', expected one of {', '.join(FIELD_NAMES)}"
-                )
-            if tensor.dtype != dtype or tensor.device.type != "cpu":
-                raise ValueError(
-                    f"{where}: field '{name}' is {tensor.dtype} on {tensor.device}, expected {dtype} on cpu"
-                )
-            found[name] = len(tensors)
-            tensors.append(tensor)
+                raise ValueError(f"{where}: unknown field '{name}', expected one of {', '.join(FIELD_NAMES)}")
+            found[name] = keep(tensor, f"{where}: field '{name}'")
         return found
 
     common = indices(shared, "shared fields")
     slots = tuple(common | indices(window.fields, f"window {k}") for k, window in enumerate(windows))
     schedules = tuple(dict(window.schedule) for window in windows)
-    out = _Rollout.apply(_Plan(model, schedules, slots, workers), *tensors)
+    plan = _Plan(model, schedules, slots, workers)
+    if user is not None:
+        keep(user.parameters, "the user's parameters")
+        plan = _Plan(model, schedules, slots, workers, user.names, user.body)
+    out = _Rollout.apply(plan, *tensors)
     return tuple(zip(out[0::2], out[1::2], strict=True))
 
 
-def rollout(model: object, fields: Mapping[str, Tensor], schedule: Mapping[str, object]) -> NodeState:
+def rollout(
+    model: object,
+    fields: Mapping[str, Tensor],
+    schedule: Mapping[str, object],
+    *,
+    user: UserTerms | None = None,
+) -> NodeState:
     """One window; see `rollout_windows`."""
-    return rollout_windows(model, fields, [Window(schedule)])[0]
+    return rollout_windows(model, fields, [Window(schedule)], user=user)[0]

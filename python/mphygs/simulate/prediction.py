@@ -16,6 +16,7 @@ from mphygs.model.registry import effect
 from mphygs.simulate.body import Body, core_model, discretise, hold_boxes
 from mphygs.simulate.fields import core_effects, direction, places, primal
 from mphygs.simulate.prestress import RestShape
+from mphygs.simulate.user_effects import forces_of
 
 # Directions that the core carries at once in one run.
 BATCH = 8
@@ -103,7 +104,7 @@ class Predictor:
             from mphygs.model.registry import core_parameter_offsets
 
             fields["effect"][core_parameter_offsets()["contact"]] = 100.0  # everything touches
-        stiffness, damping = model.largest_rates(fields)
+        stiffness, damping = model.largest_rates(fields, hook=self._hook(belief, fields))
         if "relaxation" in belief.effects:
             stiffness *= 1.0 + belief["relaxation.ratio"].value
         limit = (-damping + np.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
@@ -210,6 +211,28 @@ class Predictor:
             int(timeline.schedule["steps"].sum()), float(np.max(timeline.schedule["dt"], initial=0.0)),
         )  # fmt: skip
 
+    def von_mises(self, belief: Belief, last: int) -> np.ndarray:
+        """Von Mises stress of the base law at the quadrature points, (T, B, 8) [Pa], at frames 0..last-1."""
+        timeline = self.timeline(last, self.stable_substep(belief))
+        value, _ = self._runs(belief, [], timeline, None)
+        q = self.body.quadrature
+        model = self.model((), np.zeros((0, 3)), belief.law)
+        node, _, gradient = model.weights(q.points.reshape(-1, 3), np.repeat(q.cell, 8, axis=0))
+        material = primal(belief, self.body)
+        mu = material["mu"].ravel()
+        start = np.broadcast_to(np.eye(3), (len(mu), 3, 3))
+        if belief.prestress == "equilibrium":
+            f0 = self.rest_shape.solve(belief)["deformation0"].reshape(-1, 3, 3, 8)
+            start = np.moveaxis(f0, -1, 1).reshape(-1, 3, 3)
+        out = []
+        for u in np.asarray(value[0], float):
+            f = (np.eye(3) + np.einsum("pkc,pkj->pcj", u[node], gradient)) @ start
+            # Kirchhoff deviator of the neo-Hookean law: mu dev(F F^T).
+            b = f @ np.swapaxes(f, -1, -2)
+            b = b - np.trace(b, axis1=-2, axis2=-1)[:, None, None] / 3.0 * np.eye(3)
+            out.append(mu * np.sqrt(1.5 * np.einsum("pij,pij->p", b, b)))
+        return np.array(out).reshape(len(out), -1, 8)
+
     def _release_slope(self, belief: Belief, parameter: Parameter, last: int, dt: float, position: np.ndarray) -> np.ndarray:
         """By a difference: the release moves the start of the schedule, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
@@ -225,7 +248,8 @@ class Predictor:
         base_fields: dict = {}
         if not simulated:
             model = self.model(core_effects(belief), places(belief), belief.law)
-            return model.simulate(self.inputs(belief, timeline, model), timeline.schedule, progress), []
+            fields = self.inputs(belief, timeline, model)
+            return model.simulate(fields, timeline.schedule, progress, self._hook(belief, fields)), []
         changes = self._changes(belief, simulated)
         workers = max(1, min(self.settings.workers, len(simulated)))
         size = min(BATCH, -(-len(simulated) // workers))
@@ -242,7 +266,8 @@ class Predictor:
                 fields["pose"] = self.poses(timeline)
             if self.recording.loads:
                 fields["node_force"] = self.node_force(timeline, model)
-            return model.tangent(fields, directions, timeline.schedule, progress)
+            hook = self._hook(belief, fields, [simulated[i] for i in batch], directions)
+            return model.tangent(fields, directions, timeline.schedule, progress, hook)
 
         # Models and fields are made here, one after the other: caches are not shared between threads.
         for batch in batches:
@@ -259,6 +284,14 @@ class Predictor:
             for i, tangent in zip(batch, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
+
+    def _hook(
+        self, belief: Belief, fields: dict, simulated: Sequence[tuple[Belief, Parameter]] = (), changes: Sequence[dict] = ()
+    ) -> object | None:
+        """What the effects in Python add to a run, if there are any."""
+        return forces_of(
+            belief, self.body, self.settings.number, fields["mass"], simulated=simulated, changes=changes
+        )
 
     def _changes(self, belief: Belief, simulated: list) -> list[dict[str, np.ndarray]]:
         """Direction of all fields for each parameter, prestress included."""
@@ -398,7 +431,7 @@ def _acts_in_simulation(parameter: Parameter) -> bool:
     if parameter.key.endswith(".release_shift"):
         return False
     try:
-        return effect(owner).site not in ("measurement", "user")
+        return effect(owner).site != "measurement"
     except KeyError:
         return True
 

@@ -22,9 +22,7 @@ class RestSolver:
 
     def __init__(self, model: object) -> None:
         if not isinstance(model, _core.TotalLagrangianFloat64):
-            raise ValueError(
-                "a rest shape is solved for in float64: expected a TotalLagrangianFloat64 model"
-            )
+            raise ValueError("a rest shape is solved for in float64: expected a TotalLagrangianFloat64 model")
         self._solver = _core.Equilibrium(model)
         self._at: bytes | None = None
         self._solution: dict | None = None
@@ -44,9 +42,7 @@ class RestSolver:
         """Of the last solution; directions: (fields, load) each."""
         return self._solver.tangent(directions)
 
-    def adjoint(
-        self, deformation0_bar: np.ndarray, volume_ratio_bar: np.ndarray
-    ) -> tuple[dict, np.ndarray]:
+    def adjoint(self, deformation0_bar: np.ndarray, volume_ratio_bar: np.ndarray) -> tuple[dict, np.ndarray]:
         """Bars of the fields and of the load at the last solution."""
         return self._solver.adjoint(deformation0_bar, volume_ratio_bar)
 
@@ -129,8 +125,8 @@ def stress_free_state(
 ) -> tuple[Tensor, Tensor]:
     """Deformation (B, 9, 8) [-] from the stress-free to the published shape, and volume ratio (B, 8) [-].
 
-    mu, lame_lambda: (B, 8) [Pa]; effect: flat parameters of the core's effects; load: (N, 3) external force on
-    the nodes at rest [N]; volume: (B, 8) published volume [m^3]. All float64. Differentiable by mu,
+    mu, lame_lambda: (B, 8) [Pa]; effect: flat parameters of the core's effects; load: (N, 3) external force
+    on the nodes at rest [N]; volume: (B, 8) published volume [m^3]. All float64. Differentiable by mu,
     lame_lambda, effect and load. The rollout takes `deformation0` and `stress_volume` = volume * ratio.
 
     Raises ValueError where a gradient by the volume is asked for, SimulationError where no stress-free state
