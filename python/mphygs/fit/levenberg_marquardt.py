@@ -60,14 +60,15 @@ def minimise(
     belief: Belief,
     *,
     iterations: int = 20,
-    tolerance: float = 1e-3,
+    tolerance: float = 0.05,
+    relative_tolerance: float = 1e-4,
     longest_step: float = 1.5,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
     """Minimise half the sum of squares of a problem over the free parameters of a belief.
 
-    tolerance: stop when the next step promises less than this drop of the cost (in units of half a
-    squared standard deviation) and less than 1e-6 of it; longest_step: of any logarithm in one iteration.
+    tolerance, relative_tolerance: stop when the next step promises less than tolerance (in units of a squared
+    standard deviation) plus this share of the cost; longest_step: of any logarithm in one iteration.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     current = problem.evaluate(belief)
@@ -87,7 +88,7 @@ def minimise(
             if logs.any() and np.abs(step[logs]).max() > longest_step:
                 step *= longest_step / np.abs(step[logs]).max()
             promised = -float(gradient @ step + 0.5 * step @ normal @ step)
-            if largest == 0.0 or promised < tolerance + 1e-6 * current.cost:
+            if largest == 0.0 or promised < tolerance + relative_tolerance * current.cost:
                 converged, reason = True, "converged"
                 break
             trial_belief = belief.at(belief.coordinates + step)

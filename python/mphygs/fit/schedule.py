@@ -30,6 +30,7 @@ class Stage:
     spacing: float
     share: float
     iterations: int
+    accuracy: float  # share of the cost that a last step may promise
 
 
 def default_spacing(capture: Capture) -> float:
@@ -43,13 +44,13 @@ def default_spacing(capture: Capture) -> float:
 def stages(spacing: float, *, warm: bool) -> tuple[Stage, ...]:
     """Stages of a fit; a warm start knows the scale and needs the fine grid only."""
     if warm:
-        return (Stage("fine", spacing, 1.0, 12),)
+        return (Stage("fine", spacing, 1.0, 12, 1e-4),)
     coarse = COARSE_FACTOR * spacing
     return (
-        Stage("coarse, first quarter", coarse, 0.25, 8),
-        Stage("coarse, first half", coarse, 0.5, 8),
-        Stage("coarse", coarse, 1.0, 10),
-        Stage("fine", spacing, 1.0, 8),
+        Stage("coarse, first quarter", coarse, 0.25, 8, 3e-3),
+        Stage("coarse, first half", coarse, 0.5, 8, 3e-3),
+        Stage("coarse", coarse, 1.0, 10, 1e-3),
+        Stage("fine", spacing, 1.0, 8, 1e-4),
     )
 
 
@@ -111,7 +112,7 @@ def fit_belief(
                 rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
                 report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
 
-        solution = minimise(problem, belief, iterations=stage.iterations, report=tell, tolerance=0.05)
+        solution = minimise(problem, belief, iterations=stage.iterations, report=tell, relative_tolerance=stage.accuracy)
         belief = solution.belief
         problems[stage.spacing].predictors.update(problem.predictors)
         if after_stage:

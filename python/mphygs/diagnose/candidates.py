@@ -1,0 +1,183 @@
+"""Candidate effects of a fitted model: each at its null, in the few ways that it may be placed or directed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.fit.start import with_effect
+from mphygs.model.belief import Belief, Parameter
+from mphygs.model.registry import effects
+from mphygs.simulate.body import Body
+
+# Relaxation times [s] whose tangents are tried; the refit moves on from the best.
+RELAXATION_TIMES = (0.02, 0.1, 0.5)
+PLACES = 8
+TETHER_PLACES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One way in which an effect may enter: beliefs with it at its null, and the parameters to differentiate by.
+
+    effect: its name; label: unique; columns: (belief, parameter) pairs whose tangents are its columns;
+    bounded: (q,) bool; values, settings: what a refit starts from besides the estimate.
+    """
+
+    effect: str
+    label: str
+    columns: tuple[tuple[Belief, Parameter], ...]
+    bounded: np.ndarray
+    settings: dict
+    values: dict
+
+
+def _way(belief: Belief, name: str, label: str, wanted: Sequence[str], *, values: dict | None = None, settings: dict | None = None) -> Way:
+    extended = belief.with_effect(name, values, settings) if values or settings else with_effect(belief, name)
+    parameters = [extended[f"{name}.{q}"] for q in wanted]
+    bounded = np.array([p.lower >= p.value for p in parameters])
+    return Way(name, label, tuple((extended, p) for p in parameters), bounded, settings or {}, values or {})
+
+
+def spread_places(body: Body, count: int) -> np.ndarray:
+    """(count, 3) material points far from each other and from the holds, farthest first [m]."""
+    points = body.quadrature.points.mean(1)
+    held = body.geometry["row_target"]
+    distance = np.full(len(points), np.inf)
+    if len(held):
+        distance = np.linalg.norm(points[:, None] - held[None], axis=-1).min(1)
+    chosen = []
+    for _ in range(min(count, len(points))):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return points[chosen]
+
+
+def principal_axis(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(3,) direction of the largest spread of weighted points."""
+    centred = points - np.average(points, axis=0, weights=weights)
+    return np.linalg.eigh(np.einsum("n,ni,nj->ij", weights, centred, centred))[1][:, -1]
+
+
+def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = None) -> list[Way]:
+    """All ways of all smooth effects that the model does not have yet, and of the smooth faults."""
+    wanted = set(effects() if names is None else names) - set(belief.effects)
+    ways: list[Way] = []
+
+    def add(name: str, label: str, parameters: Sequence[str], **constants: dict) -> None:
+        ways.append(_way(belief, name, label, parameters, **constants))
+
+    if "gravity" in wanted:
+        add("gravity", "gravity", [f"delta_g_{a}" for a in "xyz"])
+    for name, parameter in (("viscosity", "eta"), ("mass_damping", "alpha"), ("air_drag", "c_d"), ("stiffening", "c_2"),
+                            ("eigenstrain", "rate"), ("hold_compliance", "compliance")):  # fmt: skip
+        if name in wanted and (name != "hold_compliance" or body.geometry.get("hold_count")):
+            add(name, name, [parameter])
+    if "compressibility" in wanted:
+        add("compressibility", "compressibility", ["nu"])
+    if "relaxation" in wanted:
+        for tau in RELAXATION_TIMES:
+            add("relaxation", f"relaxation, tau {tau} s", ["ratio"], values={"tau": tau})
+    if "fibre" in wanted:
+        q = body.quadrature
+        axes = {a: np.eye(3)[k] for k, a in enumerate("xyz")}
+        main = principal_axis(q.points.reshape(-1, 3), q.volumes.ravel())
+        if np.abs(main).max() < 0.97:
+            axes["the principal axis"] = main
+        for label, axis in axes.items():
+            direction = dict(zip(("a_x", "a_y", "a_z"), map(float, axis), strict=True))
+            add("fibre", f"fibre along {label}", ["k_f"], values=direction)
+    if "wind" in wanted:
+        # Near w = 0 a drag coefficient has no derivative: a light coefficient in a flow of 2 m/s stands for it.
+        for k, a in enumerate("xyz"):
+            for sign in (1, -1):
+                flow = {f"w_{b}": 2.0 * sign * (k == j) for j, b in enumerate("xyz")}
+                add("wind", f"wind towards {'+' if sign > 0 else '-'}{a}", ["c_d"], values=flow)
+    if "attached_mass" in wanted:
+        for place in spread_places(body, PLACES):
+            at = ", ".join(f"{x:.3f}" for x in place)
+            add("attached_mass", f"attached_mass at ({at})", ["m"], settings={"place": place.tolist()})
+    if "tether" in wanted:
+        size = float(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0).max())
+        for place in spread_places(body, TETHER_PLACES):
+            # Springs to four anchors span all springs to any one anchor at this place.
+            at = ", ".join(f"{x:.3f}" for x in place)
+            columns = []
+            for step in (np.zeros(3), *np.eye(3)):
+                anchor = dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place + size * step), strict=True))
+                columns += _way(belief, "tether", "", ["k"], values=anchor, settings={"place": place.tolist()}).columns
+            ways.append(
+                Way("tether", f"tether at ({at})", tuple(columns), np.zeros(4, bool), {"place": place.tolist(), "size": size}, {})
+            )
+    for name in ("stiffness_gradient", "density_gradient"):
+        if name in wanted:
+            for part in body.part_names:
+                columns = []
+                for k in range(3):
+                    settings = {"part": part, "axis": np.eye(3)[k].tolist()}
+                    columns += _way(belief, name, "", ["slope"], settings=settings).columns
+                ways.append(Way(name, f"{name} of {part}", tuple(columns), np.zeros(3, bool), {"part": part}, {}))
+    for name in ("time_offset", "length_scale", "frame_drift"):
+        if name in wanted:
+            ways.append(_way(belief, name, name, [p.name for p in effects()[name].fitted]))
+    for name, spec in effects().items():
+        if name in wanted and spec.site == "user":
+            add(name, name, [p.name for p in spec.fitted])
+    return ways
+
+
+def base_motion_ways(belief: Belief, frequencies: Sequence[float]) -> list[Way]:
+    """Harmonic motions of the frame: three axes, sine and cosine, at given frequencies [Hz]."""
+    if "base_motion" in belief.effects:
+        return []
+    ways = []
+    for f in frequencies:
+        columns = []
+        for phase in (0.0, float(np.pi / 2)):
+            columns += _way(belief, "base_motion", "", ["a_x", "a_y", "a_z"], values={"f": float(f), "phase": phase}).columns
+        ways.append(Way("base_motion", f"base_motion at {f:.3g} Hz", tuple(columns), np.zeros(6, bool), {}, {"f": float(f)}))
+    return ways
+
+
+def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
+    """The belief with a way's effect at the score's estimate, ready for a refit."""
+    name = way.effect
+    if name == "tether":
+        # k_j to anchors p + L e_j: k = sum k_j, k a = sum k_j a_j.
+        place, size = np.array(way.settings["place"]), way.settings["size"]
+        total = float(estimate.sum())
+        anchor = place + size * estimate[1:] / total if abs(total) > 1e-9 else place
+        anchor = np.clip(anchor, place - 10 * size, place + 10 * size)
+        values = {"k": max(total, 1e-3), **dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, anchor), strict=True))}
+        extended = belief.with_effect(name, values, {"place": place.tolist()})
+        for a in "xyz":
+            extended = extended.with_parameter(f"tether.anchor_{a}", free=True, scale=size)
+        return extended
+    if name in ("stiffness_gradient", "density_gradient"):
+        slope = float(min(np.linalg.norm(estimate), effects()[name].parameters[0].upper))
+        axis = estimate / slope if slope > 0 else np.eye(3)[0]
+        return belief.with_effect(name, {"slope": slope}, {"part": way.settings["part"], "axis": axis.tolist()})
+    if name == "base_motion":
+        sine, cosine = estimate[:3], estimate[3:]
+        # One phase for all axes: that of the largest amplitude.
+        amplitude = np.hypot(sine, cosine)
+        k = int(amplitude.argmax())
+        phase = float(np.arctan2(cosine[k], sine[k]))
+        a = sine * np.cos(phase) + cosine * np.sin(phase)
+        a = np.clip(a, effects()[name].parameters[0].lower, effects()[name].parameters[0].upper)
+        values = {**dict(zip(("a_x", "a_y", "a_z"), map(float, a), strict=True)), **way.values, "phase": phase}
+        return belief.with_effect(name, values)
+    extended, first = way.columns[0]
+    names = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
+    values = {p.key.rsplit(".", 1)[1]: p.value for p in extended.parameters if p.key.startswith(f"{name}.")}
+    for quantity, value in zip(names, estimate, strict=True):
+        spec = extended[f"{name}.{quantity}"]
+        values[quantity] = float(np.clip(value, spec.lower, spec.upper))
+    result = belief.with_effect(name, values, way.settings)
+    if name == "wind":
+        for a in "xyz":
+            result = result.with_parameter(f"wind.w_{a}", prior_std=5.0)
+        result = result.with_parameter("wind.c_d", prior_mean=1.0, prior_std=1.0)
+    return result

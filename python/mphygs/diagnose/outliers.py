@@ -1,0 +1,40 @@
+"""Bad tracks: markers whose misfit jumps against that of their neighbours, which no physics does."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+NEIGHBOURS = 6
+# Deviations from the neighbours beyond this many sigma (per coordinate) are not noise.
+LIMIT = 8.0
+# A marker that deviates in this share of its frames is left out whole.
+WHOLE = 0.2
+# More than this share of all markers is no longer a matter of single tracks.
+LARGEST_SHARE = 0.2
+
+
+def bad_observations(residual: np.ndarray, at: np.ndarray, sigma: float) -> np.ndarray:
+    """(T, M) bool: measurements that do not belong to the surface that their neighbours follow.
+
+    residual: (T, M, 3) measured - predicted [m], NaN where missing; at: (M, 3) rest positions [m];
+    sigma: of a coordinate [m]. A missing effect moves neighbours alike, a bad track moves one point.
+    Empty (all False) for fewer than NEIGHBOURS + 1 markers.
+    """
+    frames, markers = residual.shape[:2]
+    bad = np.zeros((frames, markers), bool)
+    if markers <= NEIGHBOURS:
+        return bad
+    _, near = cKDTree(at).query(at, k=NEIGHBOURS + 1)
+    around = residual[:, near[:, 1:]]  # (T, M, k, 3)
+    seen = np.isfinite(around).all(-1).sum(-1) >= 3
+    around = np.where(seen[..., None, None], around, 0.0)
+    middle = np.nanmedian(around, axis=2)
+    spread = np.nanmedian(np.abs(around - middle[:, :, None]), axis=2).max(-1) * 1.4826
+    gap = np.nan_to_num(np.abs(residual - middle).max(-1))
+    bad = seen & (gap > LIMIT * sigma) & (gap > 5.0 * np.maximum(spread, sigma))
+    often = bad.mean(0) > WHOLE
+    bad[:, often] = True
+    if often.mean() > LARGEST_SHARE or bad.mean() > LARGEST_SHARE:
+        return np.zeros((frames, markers), bool)
+    return bad

@@ -1,0 +1,227 @@
+"""Rank what could explain the misfit of a fitted model: smooth effects and faults by score, others by trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.compare.allowance import Allowance, modulated_directions
+from mphygs.diagnose.candidates import Way, base_motion_ways, smooth_ways, starting_effect
+from mphygs.diagnose.multiplicity import simulate_family
+from mphygs.diagnose.power import detectable_length
+from mphygs.diagnose.score import score_candidates
+from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
+from mphygs.diagnose.ties import tied_with
+from mphygs.diagnose.trials import score_trials
+from mphygs.diagnose.trials_of import Trial, contact_trials, plasticity_trials
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.problem import Evaluation
+from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
+from mphygs.simulate.errors import SimulationError
+
+MODULATIONS = 6
+FREQUENCIES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One effect in its best way. start: belief to refit from; statistic: predicted (trial: actual) drop of chi^2."""
+
+    effect: str
+    label: str
+    kind: str
+    statistic: float
+    p_value: float
+    expected_ratio: float
+    estimate: dict[str, float]
+    std: dict[str, float]
+    start: Belief
+    confounded_with: tuple[str, ...] = ()
+    reason: str = ""
+    detectable: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """entries: best first, one per effect; chi_square, rows: of the fitted frames; table: of all smooth ways."""
+
+    entries: tuple[Entry, ...]
+    chi_square: float
+    rows: int
+    table: ScoreTable | None
+
+
+def _peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
+    """Frequencies [Hz] at which the markers' common misfit is largest. residual: (T, M, 3)."""
+    common = np.nanmean(residual, axis=1)
+    common = np.nan_to_num(common - np.nanmean(common, axis=0))
+    power = (np.abs(np.fft.rfft(common * np.hanning(len(common))[:, None], axis=0)) ** 2).sum(1)
+    frequency = np.fft.rfftfreq(len(common), 1.0 / fps)
+    power[frequency < 1.5 * fps / len(common)] = 0.0
+    found: list[float] = []
+    for k in np.argsort(-power):
+        if len(found) == count or power[k] == 0.0:
+            break
+        if all(abs(frequency[k] - f) > 2.5 * fps / len(common) for f in found):
+            found.append(float(frequency[k]))
+    return found
+
+
+def _stack(experiment: Experiment, spacing: float, belief: Belief, ways: Sequence[Way], report: Callable[[str], None] | None) -> tuple:
+    """Whitened Jacobian columns of all ways over the fitted frames, (N, Q), in the order of the ways."""
+    problem = experiment.problem(spacing)
+    columns = [pair for way in ways for pair in way.columns]
+    blocks, positions = [], {}
+    for name, (first, last) in problem.ranges.items():
+        if report:
+            report(f"tangents of {len(columns)} candidate parameters on {name}")
+        prediction = problem.predictors[name].predict(belief, last=last, candidates=columns)
+        whitener = experiment.observations[name].whitener(first, last)
+        # Coordinates are values over scales: back to units of the parameter.
+        slopes = np.array([p.slope for _, p in columns])
+        blocks.append(whitener.whiten(prediction.jacobian[first:last]) / slopes)
+        positions[name] = prediction.position
+    return np.concatenate(blocks), positions
+
+
+def allowance_of(experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation) -> Allowance:
+    """The discretisation's share over the fitted frames, as nuisance directions."""
+    problem = experiment.problem(spacing)
+    pieces, parts, frames = [], [], []
+    for number, (name, (first, last)) in enumerate(problem.ranges.items()):
+        finer = experiment.predictor(name, spacing / 1.5)
+        try:
+            change = finer.predict(belief, last=last).position - evaluation.positions[name]
+        except SimulationError:
+            return Allowance()
+        whitener = experiment.observations[name].whitener(first, last)
+        pieces.append(whitener.whiten(change[first:last] / (1.0 - 1.5**-2)))
+        parts.append(problem.predictors[name].attachment.part[whitener.marker] + 1000 * number)
+        frames.append(whitener.frame)
+    directions = modulated_directions(np.concatenate(pieces), np.concatenate(parts), np.concatenate(frames), count=MODULATIONS)
+    return Allowance(directions=directions[:, np.linalg.norm(directions, axis=0) > 1e-9])
+
+
+def rank(
+    experiment: Experiment,
+    belief: Belief,
+    evaluation: Evaluation,
+    spacing: float,
+    *,
+    generator: np.random.Generator,
+    names: Sequence[str] | None = None,
+    allowance: Allowance | None = None,
+    report: Callable[[str], None] | None = None,
+) -> Ranking:
+    """Rank all effects and faults that the model does not have.
+
+    evaluation: of the fit at `belief` and `spacing`, with Jacobian. names: effects to consider (None: all).
+    """
+    problem = experiment.problem(spacing)
+    rows = evaluation.data_rows
+    residual = evaluation.residual[:rows]  # measured - predicted
+    jacobian = -evaluation.jacobian[:rows]
+    # Priors stay as rows: what they forbid cannot absorb an effect.
+    prior = -evaluation.jacobian[rows:]
+    prior = prior[np.abs(prior).sum(1) > 0]
+    full_residual = np.r_[residual, np.zeros(len(prior))]
+    full_jacobian = np.vstack([jacobian, prior])
+    first_name = next(iter(problem.ranges))
+    body = problem.predictors[first_name].body
+    ways = smooth_ways(belief, body, names=names)
+    if names is None or "base_motion" in names:
+        misfits = {n: experiment.observations[n].position[a:b] - evaluation.positions[n][a:b] for n, (a, b) in problem.ranges.items()}
+        fps = experiment.capture.sequence(first_name).fps
+        ways += base_motion_ways(belief, _peaks(misfits[first_name], fps, FREQUENCIES))
+    tangents, _ = _stack(experiment, spacing, belief, ways, report)
+    tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
+    candidates, at = [], 0
+    for way in ways:
+        count = len(way.columns)
+        columns = tangents[:, at : at + count]
+        candidates.append(Candidate(name=way.label, tangent=columns, lower_bounded=way.bounded, null=np.zeros(count)))
+        at += count
+    share = allowance or Allowance()
+    if share.directions is not None:
+        padded = np.vstack([share.directions, np.zeros((len(prior), share.directions.shape[1]))])
+        share = Allowance(directions=padded)
+    table = score_candidates(full_residual, full_jacobian, candidates, generator=generator, allowance=share)
+    family = simulate_family(table, generator=generator)
+    best: dict[str, tuple[Way, Score]] = {}
+    for way, score in zip(ways, table.scores, strict=True):
+        worth = score.drop - 2 * score.parameter_count if score.testable else -np.inf
+        old = best.get(way.effect)
+        if old is None or worth > (old[1].drop - 2 * old[1].parameter_count if old[1].testable else -np.inf):
+            best[way.effect] = (way, score)
+    names_of = {way.label: way.effect for way in ways}
+    entries = []
+    for name, (way, score) in best.items():
+        entries.append(_entry(name, way, score, table, family, names_of, belief, rows))
+    entries += _trials(experiment, belief, evaluation, spacing, full_residual, full_jacobian, generator, names, report)
+    entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
+    return Ranking(tuple(entries), float(residual @ residual), rows, table)
+
+
+def _entry(
+    name: str, way: Way, score: Score, table: ScoreTable, family: object, names_of: dict[str, str], belief: Belief, rows: int
+) -> Entry:
+    null = np.array([p.value for _, p in way.columns]) if name in ("compressibility",) else np.zeros(len(way.columns))
+    labels = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
+    if len(set(labels)) < len(labels):
+        labels = [f"{label}_{k}" for k, label in enumerate(labels)]
+    estimate = score.estimate + null
+    kind = effect(name).kind
+    if not score.testable:
+        return Entry(name, way.label, kind, 0.0, 1.0, float(np.sqrt(table.chi_square / rows)), {}, {}, belief, reason=score.reason)
+    tied = {names_of[t.rival] for t in tied_with(table, way.label)} - {name}
+    return Entry(
+        name, way.label, kind, float(score.drop), float(family.p_value(score)),
+        float(np.sqrt(max(score.expected_chi_square, 0.0) / rows)),
+        dict(zip(labels, map(float, estimate), strict=True)), dict(zip(labels, map(float, score.std), strict=True)),
+        starting_effect(way, estimate, belief), tuple(sorted(tied)),
+        detectable=float(detectable_length(score, level=0.01, family=len(table.scores))),
+    )  # fmt: skip
+
+
+def _trials(
+    experiment: Experiment, belief: Belief, evaluation: Evaluation, spacing: float, residual: np.ndarray, jacobian: np.ndarray,
+    generator: np.random.Generator, names: Sequence[str] | None, report: Callable[[str], None] | None,
+) -> list[Entry]:  # fmt: skip
+    """Threshold effects: the best of a few finite trials each, with the p-value of the best of so many."""
+    problem = experiment.problem(spacing)
+    name, (_first, last) = next(iter(problem.ranges.items()))
+    observation = experiment.observations[name]
+    groups: dict[str, list[Trial]] = {}
+    if names is None or "contact" in names:
+        span = slice(0, last)
+        groups["contact"] = contact_trials(belief, evaluation.positions[name][span], observation.position[span], observation.sigma)
+    if names is None or "plasticity" in names:
+        groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
+    entries = []
+    for kind, trials in groups.items():
+        changes, kept = [], []
+        for trial in trials:
+            if report:
+                report(f"trial: {trial.effect}, {trial.label}")
+            try:
+                moved = problem.evaluate(trial.belief, jacobian=False)
+            except SimulationError:
+                continue
+            changes.append(evaluation.residual[: evaluation.data_rows] - moved.residual[: evaluation.data_rows])
+            kept.append(trial)
+        if not kept:
+            continue
+        matrix = np.vstack([np.stack(changes, axis=1), np.zeros((len(residual) - len(changes[0]), len(kept)))])
+        scores = score_trials(residual, jacobian, matrix, generator=generator)
+        trial = kept[scores.best]
+        estimate = {p.key.rsplit(".", 1)[1]: p.value for p in trial.belief.parameters if p.key.startswith(f"{kind}.") and p.free}
+        rows = evaluation.data_rows
+        expected = max(float(residual @ residual) - scores.drop, 0.0)
+        entries.append(
+            Entry(kind, trial.label, "threshold", float(scores.drop), float(scores.p_value),
+                  float(np.sqrt(expected / rows)), estimate, {}, trial.belief)
+        )  # fmt: skip
+    return entries

@@ -1,0 +1,1 @@
+"""Add an effect and refit; the whole loop from the first fit to the explained error."""

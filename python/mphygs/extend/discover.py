@@ -1,0 +1,199 @@
+"""The whole loop: fit, compare, diagnose, extend, until the error is explained or nothing known explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mphygs.compare.assess import Assessment, Compared
+from mphygs.compare.noise import Observation
+from mphygs.diagnose.outliers import bad_observations
+from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
+from mphygs.extend.refit import Refit, refit
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.schedule import fit_belief
+from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
+
+# The error counts as explained below this many sigma on every range ...
+EXPLAINED = 1.15
+# ... or where the effects took away nearly all of the excess and what is left is small.
+EXPLAINED_SHARE, SMALL_REST = 0.985, 1.5
+# Fewest steps that an effect must beat another by, on all frames, to be preferred [ratio of excess].
+CLEARLY_BETTER = 0.8
+LARGEST_MODEL = 4
+REFITS = 3
+SIGNIFICANT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One model of the loop. added: effects new in it; ties: effects that the data cannot tell from them."""
+
+    belief: Belief
+    solution: Solution
+    compared: dict[str, Compared]
+    assessment: Assessment
+    added: tuple[str, ...] = ()
+    ties: tuple[str, ...] = ()
+    refits: tuple[Refit, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """verdict: adequate, missing, unknown or measurement; effects: concluded, most certain first."""
+
+    verdict: str
+    effects: tuple[str, ...]
+    steps: tuple[Step, ...]
+    rankings: tuple[Ranking, ...]
+    warnings: tuple[str, ...] = field(default_factory=tuple)
+
+
+def excess(assessment: Assessment) -> float:
+    """Mean square beyond noise of the whitened residual, averaged over ranges."""
+    values = [v for ranges in assessment.ratio.values() for v in ranges.values()]
+    return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
+
+
+def explained(first: Assessment, now: Assessment) -> bool:
+    """Whether the model brings the error to its floor."""
+    if now.adequate or now.worst <= EXPLAINED:
+        return True
+    share = 1.0 - excess(now) / max(excess(first), 1e-12)
+    return share >= EXPLAINED_SHARE and now.worst <= SMALL_REST
+
+
+def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
+    """Leave bad tracks out of all observations. Returns the number of measurements left out."""
+    total = 0
+    for name, item in compared.items():
+        first, last = item.frames
+        residual = np.full_like(item.observation.position, np.nan)
+        residual[first:last] = item.observation.position[first:last] - item.predicted[first:last]
+        markers = experiment.capture.sequence(name).markers
+        bad = bad_observations(residual, markers.at, item.observation.sigma)
+        # Frames outside the compared ranges keep what they have.
+        count = int((bad & item.observation.observed).sum())
+        if count:
+            position = np.where(bad[..., None], np.nan, item.observation.position)
+            experiment.observations[name] = Observation(position, item.observation.noise, item.observation.weight)
+            total += count
+    return total
+
+
+def first_fit(
+    experiment: Experiment, belief: Belief, spacing: float, *, report: Callable[[str], None] | None = None, warm: bool = False
+) -> Step:
+    """Fit a model and compare it."""
+    for name in experiment.fitted:
+        experiment.predictor(name, spacing)
+    solution, _ = fit_belief(
+        experiment.capture, experiment.starting(belief), experiment.fitted, experiment.observations,
+        replace(experiment.settings, spacing=spacing), report=report, problems=experiment.problems, warm=warm,
+    )  # fmt: skip
+    compared = experiment.compare(solution.belief, spacing)
+    return Step(solution.belief, solution, compared, experiment.assess(compared))
+
+
+def promising(ranking: Ranking, count: int) -> list[Entry]:
+    """Entries worth a refit: significant, the best first; physics and faults each get a hearing."""
+    good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
+    chosen = good[:count]
+    for kind in ("smooth", "threshold", "measurement"):
+        rest = [e for e in good if e.kind == kind]
+        if rest and rest[0] not in chosen and rest[0].statistic > 0.3 * good[0].statistic:
+            chosen.append(rest[0])
+    return chosen
+
+
+def choose(refits: Sequence[Refit]) -> tuple[Refit, tuple[str, ...]]:
+    """The refit that explains most on all frames, and those that the data cannot tell from it."""
+    ordered = sorted(refits, key=lambda r: excess(r.assessment))
+    best = ordered[0]
+    floor = max(excess(best.assessment), 0.02)
+    ties = [r.entry.effect for r in ordered[1:] if excess(r.assessment) < floor / CLEARLY_BETTER and r.assessment.worst <= EXPLAINED]
+    return best, tuple(ties)
+
+
+def discover(
+    experiment: Experiment,
+    belief: Belief,
+    spacing: float,
+    *,
+    seed: int = 0,
+    names: Sequence[str] | None = None,
+    report: Callable[[str], None] | None = None,
+    on_step: Callable[[Step], None] | None = None,
+) -> Discovery:
+    """Find what is missing from a model of a capture.
+
+    belief: the model to start from, not yet fitted; names: effects that may be added (None: all).
+    Raises SimulationError when not even the first model can be simulated.
+    """
+    generator = np.random.default_rng(seed)
+    say = report or (lambda _text: None)
+    steps = [first_fit(experiment, belief, spacing, report=report)]
+    faults: list[str] = []
+    rankings: list[Ranking] = []
+    warnings: list[str] = []
+    if on_step:
+        on_step(steps[0])
+    left_out = 0 if steps[0].assessment.adequate else mask_outliers(experiment, steps[0].compared)
+    if left_out and (names is None or "marker_outliers" in names):
+        say(f"{left_out} measurements do not move with their neighbours: left out as marker_outliers")
+        faults.append("marker_outliers")
+        experiment.problems.clear()
+        step = first_fit(experiment, steps[0].belief, spacing, report=report, warm=True)
+        steps.append(replace(step, added=("marker_outliers",)))
+        if on_step:
+            on_step(steps[-1])
+    base = steps[-1].assessment
+    while not explained(base if steps[-1].added else steps[-1].assessment, steps[-1].assessment) or not steps[-1].added:
+        current = steps[-1]
+        if current.assessment.adequate or len(current.belief.terms) >= LARGEST_MODEL:
+            break
+        share = allowance_of(experiment, spacing, current.belief, current.solution.evaluation)
+        ranking = rank(
+            experiment, current.belief, current.solution.evaluation, spacing, generator=generator, names=names,
+            allowance=share, report=report,
+        )  # fmt: skip
+        rankings.append(ranking)
+        for entry in ranking.entries[:6]:
+            say(f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, p {entry.p_value:.2g}")
+        refits = []
+        for entry in promising(ranking, REFITS):
+            result = refit(experiment, current.solution, current.compared, entry, spacing, generator=generator, report=report)
+            if result is None:
+                continue
+            say(f"  {entry.effect}: worst range {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma, pays: {result.pays}")
+            if result.surprising:
+                warnings.append(f"{entry.effect}: predicted drop {entry.statistic:.0f}, actual {result.actual_drop:.0f}")
+            if result.pays:
+                refits.append(result)
+        if not refits:
+            break
+        best, ties = choose(refits)
+        tied = tuple(dict.fromkeys((*ties, *(n for n in best.entry.confounded_with if n in {r.entry.effect for r in refits}))))
+        steps.append(
+            Step(best.belief, best.solution, best.compared, best.assessment, (best.entry.effect,), tied, tuple(refits))
+        )
+        if on_step:
+            on_step(steps[-1])
+    return _conclude(steps, faults, rankings, warnings)
+
+
+def _conclude(steps: list[Step], faults: list[str], rankings: list[Ranking], warnings: list[str]) -> Discovery:
+    first, last = steps[0].assessment, steps[-1].assessment
+    added = [name for step in steps for name in step.added]
+    if not added:
+        verdict = "adequate" if first.adequate else "unknown"
+        return Discovery(verdict, (), tuple(steps), tuple(rankings), tuple(warnings))
+    physics = [n for n in added if effect(n).kind != "measurement"]
+    if not explained(first, last):
+        return Discovery("unknown", (), tuple(steps), tuple(rankings), tuple(warnings))
+    verdict = "missing" if physics else "measurement"
+    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), tuple(warnings))

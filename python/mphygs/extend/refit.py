@@ -1,0 +1,122 @@
+"""Refit a model with an effect really in it, and judge it on frames that were not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mphygs.compare.assess import Assessment, Compared, whiten_all
+from mphygs.diagnose.held_out import GainInterval, gain_interval
+from mphygs.diagnose.rank import Entry
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+
+# Frames of one block of the bootstrap on unseen frames: errors within one swing hang together.
+BLOCK_FRAMES = 8
+STRENGTHS = (0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A model with an effect added. gain: on unseen frames over the model before; actual_drop: of chi^2 on the
+    fitted frames, to hold against entry.statistic."""
+
+    entry: Entry
+    solution: Solution
+    compared: dict[str, Compared]
+    assessment: Assessment
+    gain: GainInterval | None
+    actual_drop: float
+
+    @property
+    def belief(self) -> Belief:
+        return self.solution.belief
+
+    @property
+    def pays(self) -> bool:
+        """Whether the effect lowers the error on frames that were not fitted (on fitted ones, where there
+        are no others)."""
+        return self.gain.accepted if self.gain is not None else self.actual_drop > 20.0
+
+    @property
+    def surprising(self) -> bool:
+        """Actual and predicted drop differ by more than a factor of two."""
+        return not 0.5 <= self.actual_drop / max(self.entry.statistic, 1e-9) <= 2.0
+
+
+def _scaled(entry: Entry, belief: Belief, strength: float) -> Belief:
+    """The entry's start with the effect's strengths (parameters whose null is zero) times a factor."""
+    out = entry.start
+    for parameter in entry.start.parameters:
+        if parameter.key.startswith(f"{entry.effect}.") and parameter.free and not parameter.log and entry.kind != "threshold":
+            if parameter.key.split(".", 1)[1] in ("f", "phase", "nu"):
+                continue
+            value = float(np.clip(parameter.value * strength, parameter.lower, parameter.upper))
+            out = out.with_parameter(parameter.key, value=value)
+    # What was fitted so far stays where the fit left it.
+    fitted = {p.key: p.value for p in belief.parameters}
+    return replace(out, parameters=tuple(replace(p, value=fitted.get(p.key, p.value)) for p in out.parameters))
+
+
+def refit(
+    experiment: Experiment,
+    before: Solution,
+    compared_before: dict[str, Compared],
+    entry: Entry,
+    spacing: float,
+    *,
+    generator: np.random.Generator,
+    iterations: int = 8,
+    report: Callable[[str], None] | None = None,
+) -> Refit | None:
+    """Refit with the entry's effect, from half, one and two times its estimate.
+
+    Returns None where no such model can be simulated.
+    """
+    problem = experiment.problem(spacing)
+    strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
+    best, best_cost = None, np.inf
+    for strength in strengths:
+        start = _scaled(entry, before.belief, strength)
+        try:
+            cost = problem.evaluate(start, jacobian=False).cost
+        except SimulationError:
+            continue
+        if cost < best_cost:
+            best, best_cost = start, cost
+    if best is None:
+        return None
+
+    def tell(iteration: int, evaluation: object, _belief: Belief) -> None:
+        if report:
+            rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
+            report(f"with {entry.effect}: iteration {iteration}, {rms:.3f} sigma")
+
+    try:
+        solution = minimise(problem, best, iterations=iterations, relative_tolerance=1e-3, report=tell)
+        compared = experiment.compare(solution.belief, spacing)
+    except SimulationError:
+        return None
+    assessment = experiment.assess(compared)
+    return Refit(
+        entry, solution, compared, assessment, unseen_gain(compared_before, compared, generator),
+        before.evaluation.chi_square - solution.evaluation.chi_square,
+    )  # fmt: skip
+
+
+def unseen_gain(before: dict[str, Compared], after: dict[str, Compared], generator: np.random.Generator) -> GainInterval | None:
+    """Bootstrap interval of the log-likelihood gain over all unseen frames; None where there are too few."""
+    a, b = whiten_all(before), whiten_all(after)
+    unseen = ~a.seen
+    if not unseen.any():
+        return None
+    blocks = a.sequence[unseen] * 100_000 + a.frame[unseen] // BLOCK_FRAMES
+    if len(np.unique(blocks)) < 4:
+        blocks = a.sequence[unseen] * 100_000 + a.frame[unseen] // 2
+    if len(np.unique(blocks)) < 4:
+        return None
+    return gain_interval(a.residual[unseen], b.residual[unseen], blocks, generator=generator)

@@ -1,0 +1,179 @@
+"""One capture with all that fitting, comparing and diagnosing it share: problems, observations, ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mphygs.capture.format import Capture
+from mphygs.compare.assess import Assessment, Compared, assess
+from mphygs.compare.noise import Observation, observe
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.problem import Problem
+from mphygs.model.belief import Belief
+from mphygs.simulate.prediction import Predictor, Settings
+
+# Refinement that shows the discretisation's share; the error falls with the square of the spacing.
+REFINEMENT = 1.5
+
+
+def _drop_shifts(belief: Belief, keep: Sequence[str]) -> Belief:
+    """Only the fitted sequences' release is a free parameter."""
+    return replace(
+        belief,
+        parameters=tuple(
+            replace(p, free=p.free and p.key.removesuffix(".release_shift") in keep) if p.key.endswith(".release_shift") else p
+            for p in belief.parameters
+        ),
+    )
+
+
+@dataclass(eq=False)
+class Experiment:
+    """fitted: sequence -> frames to fit; compared ranges come from the capture.
+
+    Bodies, models and noise are built once per spacing and shared by every fit and comparison.
+    """
+
+    capture: Capture
+    settings: Settings
+    fitted: dict[str, tuple[int, int]]
+    observations: dict[str, Observation] = field(default_factory=dict)
+    problems: dict[float, Problem] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        capture: Capture,
+        settings: Settings,
+        *,
+        sequences: Sequence[str] | None = None,
+        frames: tuple[int, int] | None = None,
+    ) -> Experiment:
+        """sequences: names to fit (None: all with a fit range); frames: range that replaces the capture's.
+
+        Raises KeyError for an unknown sequence, ValueError when nothing is left to fit.
+        """
+        names = [s.name for s in capture.sequences if s.fit[1] > s.fit[0]] if sequences is None else list(sequences)
+        fitted = {}
+        for name in names:
+            recording = capture.sequence(name)
+            if recording.markers is None:
+                continue
+            span = frames if frames is not None else recording.fit
+            span = (max(span[0], 0), min(span[1], recording.frames))
+            if span[1] > span[0]:
+                fitted[name] = span
+        if not fitted:
+            raise ValueError(f"capture '{capture.name}': no sequence has markers and frames to fit")
+        return cls(capture, settings, fitted)
+
+    def starting(self, belief: Belief) -> Belief:
+        """A belief whose free parameters are those that the fitted sequences can tell."""
+        return _drop_shifts(belief, list(self.fitted))
+
+    def problem(self, spacing: float) -> Problem:
+        """The fit at one spacing."""
+        if spacing not in self.problems:
+            own = replace(self.settings, spacing=spacing)
+            self.problems[spacing] = Problem(self.capture, own, self.fitted, self.observations)
+        for name in self.fitted:
+            self._observe(name, self.problems[spacing].predictors[name])
+        return self.problems[spacing]
+
+    def _observe(self, name: str, predictor: Predictor) -> None:
+        if name not in self.observations:
+            self.observations[name] = observe(self.capture.sequence(name), predictor.attachment)
+
+    def predictor(self, name: str, spacing: float) -> Predictor:
+        """The simulator of one sequence, fitted or not."""
+        problem = self.problem(spacing)
+        if name not in problem.predictors:
+            widened = problem.with_ranges({**self.fitted, name: (0, 1)})
+            problem.predictors[name] = widened.predictors[name]
+        self._observe(name, problem.predictors[name])
+        return problem.predictors[name]
+
+    def compared_names(self, names: Sequence[str] | None = None) -> list[str]:
+        """Sequences with markers and with frames to fit or to predict."""
+        wanted = [s.name for s in self.capture.sequences] if names is None else list(names)
+        return [
+            n for n in wanted
+            if self.capture.sequence(n).markers is not None and (n in self.fitted or self._unseen(n)[1] > self._unseen(n)[0])
+        ]  # fmt: skip
+
+    def _unseen(self, name: str) -> tuple[int, int]:
+        """Frames of a sequence that were not fitted: its predict range, or all its ranges when it was left out."""
+        recording = self.capture.sequence(name)
+        if name in self.fitted or recording.fit[1] <= recording.fit[0]:
+            return recording.predict
+        used = [r for r in (recording.fit, recording.predict) if r[1] > r[0]]
+        return (min(a for a, _ in used), max(b for _, b in used))
+
+    def with_release(self, belief: Belief, name: str, spacing: float) -> Belief:
+        """The belief with the release of a sequence that was not fitted found from its own frames."""
+        key = f"{name}.release_shift"
+        if name in self.fitted or key not in belief:
+            return belief
+        first, last = self._unseen(name)
+        problem = self.problem(spacing)
+        self.predictor(name, spacing)
+        own = Problem(
+            self.capture, problem.settings, {name: (first, min(last, first + 40))}, self.observations, problem.predictors
+        )  # fmt: skip
+        alone = replace(belief, known_mass=None, parameters=tuple(replace(p, free=p.key == key) for p in belief.parameters))
+        value = minimise(own, alone, iterations=8).belief[key].value
+        return belief.with_parameter(key, value=value)
+
+    def compare(
+        self,
+        belief: Belief,
+        spacing: float,
+        *,
+        names: Sequence[str] | None = None,
+        jacobian: bool = True,
+        refine: bool = False,
+        report: Callable[[str], None] | None = None,
+    ) -> dict[str, Compared]:
+        """Prediction beside measurement of every sequence at a fitted belief."""
+        out = {}
+        for name in self.compared_names(names):
+            if report:
+                report(f"predicting {name}")
+            predictor = self.predictor(name, spacing)
+            fit = self.fitted.get(name, (0, 0))
+            predict = self._unseen(name)
+            last = max(b for a, b in (fit, predict) if b > a)
+            known = self.with_release(belief, name, spacing)
+            keys = [p.key for p in known.free] if jacobian else []
+            prediction = predictor.predict(known, last=last, keys=keys)
+            total = predictor.recording.frames
+            refinement = None
+            if refine:
+                finer = self.predictor(name, spacing / REFINEMENT)
+                moved = finer.predict(known, last=last).position - prediction.position
+                # Richardson: the whole error is the change over 1 - 1/r^2.
+                refinement = _full(moved / (1.0 - REFINEMENT**-2), total)
+            out[name] = Compared(
+                self.observations[name], _full(prediction.position, total), _full(prediction.jacobian, total),
+                predictor.attachment.part, fit, predict, refinement,
+            )  # fmt: skip
+        return out
+
+    def assess(self, compared: Mapping[str, Compared]) -> Assessment:
+        """The statistics of a comparison."""
+        names = tuple(part.name for part in self.capture.parts)
+        centers = np.array([part.vertices.mean(0) for part in self.capture.parts])
+        return assess(compared, names, part_centers=centers)
+
+
+def _full(array: np.ndarray, frames: int) -> np.ndarray:
+    """Zeros after the frames that were computed, so that indices are the recording's."""
+    out = np.zeros((frames, *array.shape[1:]))
+    out[: len(array)] = array
+    return out
+
+
+__all__ = ["Experiment", "Solution"]
