@@ -46,8 +46,8 @@ class Window:
 class UserTerms:
     """Effects in Python that a rollout includes.
 
-    names: registered effects; parameters: (Q,) their values, one effect after the other; body: the object that
-    the model was built from.
+    names: registered effects; parameters: (Q,) their values, one effect after the other; body: the object
+    that the model was built from.
     """
 
     names: tuple[str, ...]
@@ -248,8 +248,9 @@ def rollout_windows(
 
     model: a compiled TotalLagrangianFloat32 or Float64, which holds the memory budget of the adjoint;
     shared: fields of all windows, named as in FIELD_NAMES, in the model's precision; workers: windows run
-    side by side; user: effects in Python. Differentiable by every field and by the user's parameters, backward
-    and forward; torch.func.jacfwd carries all directions in one run. The result does not depend on `workers`, to the bit.
+    side by side; user: effects in Python. Differentiable by every field and by the user's parameters,
+    backward and forward; torch.func.jacfwd carries all directions in one run. The result does not depend on
+    `workers`, to the bit.
 
     Raises ValueError for an unknown field, another precision or a wrong size, SimulationError for an
     unstable run, NotImplementedError for second derivatives.
