@@ -9,7 +9,16 @@ list(FILTER binding_sources EXCLUDE REGEX "processor\\.cpp$")
 
 if(MPHYGS_PYTHON)
   find_package(Python REQUIRED COMPONENTS Interpreter Development.Module)
-  find_package(pybind11 CONFIG REQUIRED)
+  find_package(pybind11 CONFIG QUIET)
+  if(NOT pybind11_FOUND)
+    # pip puts it where only Python knows.
+    execute_process(COMMAND "${Python_EXECUTABLE}" -m pybind11 --cmakedir
+                    OUTPUT_VARIABLE pybind11_DIR OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET)
+    find_package(pybind11 CONFIG QUIET)
+  endif()
+  if(NOT pybind11_FOUND)
+    message(FATAL_ERROR "pybind11 was not found: install it (pip install pybind11) or configure with -DMPHYGS_PYTHON=OFF")
+  endif()
 endif()
 
 # mphygs_core<suffix> and _core<suffix>, compiled with the options that follow.
