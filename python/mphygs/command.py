@@ -1,0 +1,188 @@
+"""The frame of every command: typed options, progress, one answer, exit codes.
+
+Exit code 0: done; 2: the input or the options are at fault; 1: anything else; 130: interrupted by the user.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+import re
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TextIO, TypeVar
+
+import numpy as np
+import tyro
+
+DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
+# Set to anything, this shows where an error comes from.
+TRACEBACK_VARIABLE = "MPHYGS_TRACEBACK"
+
+
+class OptionError(ValueError):
+    """Options that cannot be used: one line with what, where, and what was expected."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions:
+    """Options of every command."""
+
+    json: bool = False
+    """Print exactly one JSON object on standard output; everything else goes to standard error."""
+
+
+OptionsType = TypeVar("OptionsType", bound=CommonOptions)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command found. document: for --json; text: for people."""
+
+    document: dict[str, object]
+    text: str
+
+
+@dataclass
+class Console:
+    """Where a command reports while it runs. resume: the command line that continues it when stopped."""
+
+    stream: TextIO
+    resume: str | None = None
+    _begin: float = field(default_factory=time.monotonic)
+
+    @property
+    def seconds(self) -> float:
+        """Time since the work began [s]."""
+        return time.monotonic() - self._begin
+
+    def begin(self) -> None:
+        """Count time from here: what went before says nothing of how long the rest takes."""
+        self._begin = time.monotonic()
+
+    def say(self, text: str) -> None:
+        """One line of report."""
+        self.stream.write(f"{text}\n")
+        self.stream.flush()
+
+    def progress(self, share: float, text: str) -> None:
+        """One line of progress; share: of the whole work that is done, 0 to 1."""
+        left = ""
+        if share > 0.0:
+            left = f", about {duration(self.seconds * (1.0 - share) / share)} left"
+        self.say(f"[{100.0 * min(share, 1.0):3.0f} %, {duration(self.seconds)}{left}] {text}")
+
+
+def duration(seconds: float) -> str:
+    """A time span in words of one glance."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    if seconds < 6000.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"
+
+
+def names(text: str | None) -> tuple[str, ...]:
+    """The names of a comma-separated list; none for None and for an empty text."""
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def one_line(text: str) -> str:
+    """A message with its line breaks taken out."""
+    return " ".join(text.split())
+
+
+def plain(value: object) -> object:
+    """A value as JSON knows it; numbers that are not finite become null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str):
+        return value
+    return str(value)
+
+
+def _parse(options_type: type[OptionsType], program: str, argv: Sequence[str] | None) -> OptionsType | int:
+    """The options, or the exit code where there are none: after --help, or for a line that cannot be read."""
+    heard = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(heard):
+            return tyro.cli(
+                options_type,
+                prog=program,
+                args=None if argv is None else list(argv),
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            return DONE
+        # The parser draws its complaint in a box.
+        complaint = heard.getvalue().split("For full helptext")[0]
+        words = re.sub(r"[─-╿]+", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
+        sys.stderr.write(f"{program}: {one_line(words)} (see {program} --help)\n")
+        return AT_FAULT
+
+
+def run(
+    options_type: type[OptionsType],
+    action: Callable[[OptionsType, Console], Answer],
+    *,
+    program: str,
+    argv: Sequence[str] | None = None,
+) -> int:
+    """Run one command and return its exit code. argv: None takes the process's own arguments."""
+    options = _parse(options_type, program, argv)
+    if isinstance(options, int):
+        return options
+    console = Console(sys.stderr)
+    answer, code = _guarded(action, options, console, program)
+    if answer is None:
+        return code
+    if options.json:
+        sys.stdout.write(json.dumps(plain(answer.document), allow_nan=False) + "\n")
+    else:
+        sys.stdout.write(answer.text.rstrip("\n") + "\n")
+    sys.stdout.flush()
+    return code
+
+
+def _guarded(
+    action: Callable[[OptionsType, Console], Answer], options: OptionsType, console: Console, program: str
+) -> tuple[Answer | None, int]:
+    try:
+        # Whatever a library prints must not reach the answer's stream.
+        with contextlib.redirect_stdout(sys.stderr):
+            return action(options, console), DONE
+    except KeyboardInterrupt:
+        hint = f"; continue with: {console.resume}" if console.resume else ""
+        console.say(f"{program}: interrupted{hint}")
+        return None, INTERRUPTED
+    except Exception as error:  # every error ends in one line and its exit code
+        if os.environ.get(TRACEBACK_VARIABLE):
+            console.say(traceback.format_exc())
+        # numpy's LinAlgError is a ValueError that no input explains.
+        at_fault = isinstance(error, (ValueError, FileNotFoundError)) and not isinstance(
+            error, np.linalg.LinAlgError
+        )
+        message = one_line(str(error)) or type(error).__name__
+        if isinstance(error, (KeyError, AttributeError, TypeError, IndexError)):
+            message = (
+                f"unexpected {type(error).__name__}: {message} (set {TRACEBACK_VARIABLE}=1 to see where)"
+            )
+        console.say(f"{program}: {message}")
+        return None, AT_FAULT if at_fault else FAILED

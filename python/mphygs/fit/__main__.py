@@ -1,0 +1,260 @@
+"""`mphygs fit CAPTURE`: fit materials, and the effects named, to a capture."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from mphygs.capture.format import Capture, load_capture
+from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.fit.checkpointed import fit_run
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.of_run import capture_of, errors_of
+from mphygs.fit.placement import with_placed_effect
+from mphygs.fit.run import Run, digest_of, is_run, load_run
+from mphygs.fit.schedule import default_spacing
+from mphygs.fit.start import starting_belief
+from mphygs.fit.tables import errors_text, parameters_document, parameters_text
+from mphygs.model.registry import effects
+from mphygs.simulate.prediction import Settings
+
+PROGRAM = "mphygs fit"
+RUNS = Path("runs")
+# Options that change no number: a resumed fit may have others.
+_FREE_TO_CHANGE = ("json", "resume", "workers", "out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions(CommonOptions):
+    """Fit materials, and the effects named, to a capture. Without CAPTURE: a small one made on the spot."""
+
+    capture: tyro.conf.Positional[Path | None] = None
+    """Folder of the capture."""
+    out: Path | None = None
+    """Run folder; default: runs/NAME-OF-THE-CAPTURE. A run that is there already is replaced."""
+    sequences: Annotated[str | None, tyro.conf.arg(metavar="A,B")] = None
+    """Sequences to fit; default: all with frames to fit."""
+    effects: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Physical effects and faults of measurement to fit as well."""
+    frames: Annotated[str | None, tyro.conf.arg(metavar="i:j")] = None
+    """Frames to fit, i to j - 1, instead of those that the capture states."""
+    schedule: Literal["fast", "paper"] = "fast"
+    """fast: growing stretches of the motion, coarse grid first; paper: the paper's windows, for videos."""
+    transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
+    """How particles and grid exchange momentum."""
+    spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
+    """Grid spacing [m]; default: from the object's volume."""
+    prestress: Literal["off", "paper", "equilibrium"] | None = None
+    """How the rest shape carries gravity; default: as the capture says."""
+    law: Literal["neo-hookean", "fixed-corotated"] = "neo-hookean"
+    """Law of elasticity."""
+    optimiser: Literal["gauss-newton"] = "gauss-newton"
+    """How the misfit is minimised."""
+    seed: int = 0
+    """Of everything random that is done with this run."""
+    workers: int | None = None
+    """Simulations side by side; default: one a core. Changes no number."""
+    resume: bool = False
+    """Continue the run in --out where it stopped."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    return run(FitOptions, fit, program=PROGRAM, argv=argv)
+
+
+def fit(options: FitOptions, console: Console) -> Answer:
+    """Fit, write the run folder, and say what was found and what to run next."""
+    embedded = options.capture is None and not options.resume
+    if options.resume:
+        state = _resumed(options, console)
+        capture = capture_of(state)
+    else:
+        _check(options)
+        state, capture = _new(options, console)
+    settings = replace(state.settings, workers=options.workers or os.cpu_count() or 1)
+    experiment = Experiment(capture, settings, dict(state.ranges))
+    console.resume = f"{PROGRAM} --out {shlex.quote(str(state.folder))} --resume"
+    state.save()
+    console.say(
+        f"{capture.name}: {', '.join(state.ranges)}; {len(state.belief.free)} unknowns, "
+        f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
+    )
+    console.begin()
+    state = fit_run(state, experiment, progress=console.progress)
+    state = replace(state, answer=_answer(state, experiment, console))
+    state.save()
+    return Answer(dict(state.answer), _text(state, capture, embedded))
+
+
+def _answer(state: Run, experiment: Experiment, console: Console) -> dict[str, object]:
+    """The JSON of a finished fit."""
+    spacing = state.settings.spacing
+    compared = experiment.compare(state.belief, spacing, jacobian=False, report=console.say)
+    errors = errors_of(experiment, compared)
+    predictors = {name: experiment.predictor(name, spacing) for name in state.ranges}
+    substep = {name: p.stable_substep(state.belief) for name, p in predictors.items()}
+    problem = experiment.problem(spacing)
+    return {
+        "run": str(state.folder),
+        "parameters": parameters_document(state),
+        "seconds": sum(stage.seconds for stage in state.history),
+        "substeps": problem.evaluate(state.belief, jacobian=False).substeps,
+        "substep": substep,
+        "spacing": spacing,
+        "transfer": state.transfer,
+        "sequences": {
+            name: {label: ranges[label] for label in ("fit", "predict")} for name, ranges in errors.items()
+        },
+    }
+
+
+def _text(state: Run, capture: Capture, embedded: bool) -> str:
+    answer = state.answer
+    lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
+    steps = ", ".join(f"{1e6 * dt:.0f} us on {name}" for name, dt in answer["substep"].items())
+    lines.append(
+        f"{answer['seconds']:.1f} s; {answer['substeps']} substeps in one pass over these frames ({steps})"
+    )
+    folder = shlex.quote(str(state.folder))
+    lines += ["", "next:"]
+    lines.append(
+        f"  mphygs compare {folder}     where and when it fails, and whether that is more than noise"
+    )
+    lines.append(f"  mphygs diagnose {folder}    which physical effect is missing")
+    if embedded:
+        lines.append(f"  mphygs extend {folder} viscosity    add that effect and see the error fall")
+    lines.append(f"  mphygs report {folder}      all of it as one page")
+    return "\n".join(lines)
+
+
+def _check(options: FitOptions) -> None:
+    """Options that can be judged without the capture."""
+    known = effects()
+    for name in names(options.effects):
+        if name not in known:
+            raise OptionError(
+                f"--effects: unknown effect '{name}'; expected some of {', '.join(sorted(known))}"
+            )
+    if options.spacing is not None and not options.spacing > 0.0:
+        raise OptionError(f"--spacing: got {options.spacing}; expected a length above zero [m]")
+    if options.workers is not None and options.workers < 1:
+        raise OptionError(f"--workers: got {options.workers}; expected 1 or more")
+    if options.schedule == "paper":
+        raise OptionError(
+            "--schedule paper: its windows start from particles tracked in video; expected fast for markers"
+        )
+    if options.transfer == "mls":
+        raise OptionError("--transfer mls: fitting with it is not built yet; expected total-lagrangian")
+
+
+def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
+    """A run that begins, and its capture."""
+    out = options.out
+    if options.capture is None:
+        from mphygs.synth.embedded import embedded_capture
+
+        out = out or RUNS / "embedded"
+        _claim(out)
+        console.say("no capture given: making a small one with known truth and a hidden effect")
+        path = embedded_capture(out / "capture")
+        capture = load_capture(path)
+    else:
+        path = options.capture
+        capture = load_capture(path)
+        out = out or RUNS / capture.name
+        _claim(out)
+    settings = Settings(spacing=options.spacing or default_spacing(capture))
+    wanted = names(options.sequences)
+    belief = starting_belief(capture, prestress=options.prestress, law=options.law)
+    frames = _frames(options.frames, capture, wanted)
+    try:
+        experiment = Experiment.of(capture, settings, sequences=wanted or None, frames=frames)
+    except KeyError as error:
+        raise OptionError(f"--sequences: {error.args[0]}") from error
+    missing = [name for name in wanted if name not in experiment.fitted]
+    if missing:
+        raise OptionError(
+            f"--sequences: '{missing[0]}' has no markers or no frames to fit; expected both, or --frames i:j"
+        )
+    belief = experiment.starting(belief)
+    for name in names(options.effects):
+        belief = with_placed_effect(belief, name, capture, tuple(experiment.fitted))
+    given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+    state = Run(
+        folder=out, options=given, seed=options.seed, capture=path, digest=digest_of(capture),
+        settings=settings, transfer=options.transfer, ranges=dict(experiment.fitted),
+        start=belief, belief=belief,
+    )  # fmt: skip
+    return state, capture
+
+
+def _claim(folder: Path) -> None:
+    """Make sure that writing a run there destroys nothing but an older run."""
+    if folder.exists() and not folder.is_dir():
+        raise OptionError(f"--out {folder}: is a file; expected a folder")
+    if (
+        folder.is_dir()
+        and any(folder.iterdir())
+        and not is_run(folder)
+        and not (folder / "capture" / "answer.json").is_file()
+    ):
+        raise OptionError(
+            f"--out {folder}: has files that are not a run's; expected a run folder, or a new one"
+        )
+    if is_run(folder):
+        # What was found with the run before is not true of this one.
+        for stale in ("diagnosis.json", "steps.json", "comparison.json", "report.html"):
+            (folder / stale).unlink(missing_ok=True)
+
+
+def _frames(text: str | None, capture: Capture, wanted: Sequence[str]) -> tuple[int, int] | None:
+    """Frames [i, j) of the text "i:j", within every sequence that they are for."""
+    if text is None:
+        return None
+    try:
+        first, last = (int(number) for number in text.split(":"))
+    except ValueError as error:
+        raise OptionError(f"--frames: got '{text}'; expected i:j, two frame numbers") from error
+    for recording in capture.sequences:
+        fitted = recording.name in wanted if wanted else recording.fit[1] > recording.fit[0]
+        if fitted and not 0 <= first < last <= recording.frames:
+            raise OptionError(
+                f"--frames: got '{text}'; expected 0 <= i < j <= {recording.frames} for {recording.name}"
+            )
+    return first, last
+
+
+def _resumed(options: FitOptions, console: Console) -> Run:
+    """The run to continue; options given again must be those it began with."""
+    folder = options.out or (RUNS / (load_capture(options.capture).name if options.capture else "embedded"))
+    state = load_run(folder)
+    for key, default in asdict(FitOptions()).items():
+        value = getattr(options, key)
+        stored = state.options.get(key, default)
+        if key in _FREE_TO_CHANGE or value == default:
+            continue
+        if key == "capture":
+            same = Path(value).resolve() == Path(state.capture).resolve()
+        else:
+            same = value == stored
+        if not same:
+            raise OptionError(
+                f"--{key}: got {value}, but {folder} began with {stored}; expected the same options to resume"
+            )
+    if state.complete:
+        console.say(f"{folder}: the fit is complete")
+    else:
+        console.say(f"{folder}: continuing after {len(state.history)} stages")
+    return state
+
+
+if __name__ == "__main__":
+    sys.exit(main())

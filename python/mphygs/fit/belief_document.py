@@ -1,0 +1,60 @@
+"""A belief as JSON, number for number, and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+
+import numpy as np
+
+from mphygs.model.belief import Belief, Parameter, Term
+
+# JSON has no infinity: these are absent where they are infinite.
+_UNBOUNDED = {"lower": -math.inf, "upper": math.inf, "prior_std": math.inf}
+
+
+def plain_value(value: object) -> object:
+    """A value with arrays, tuples and mappings as JSON knows them. Raises TypeError for anything else."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_value(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain_value(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise TypeError(f"{type(value).__name__} cannot be kept in a run")
+
+
+def document_of_belief(belief: Belief) -> dict[str, object]:
+    """Everything of a belief; floats keep all their bits."""
+    parameters = []
+    for parameter in belief.parameters:
+        entry = asdict(parameter)
+        for key, infinite in _UNBOUNDED.items():
+            if entry[key] == infinite:
+                del entry[key]
+        parameters.append(plain_value(entry))
+    return {
+        "parts": list(belief.parts),
+        "gravity": np.asarray(belief.gravity, float).tolist(),
+        "parameters": parameters,
+        "terms": [{"name": term.name, "settings": plain_value(term.settings)} for term in belief.terms],
+        "prestress": belief.prestress,
+        "law": belief.law,
+        "known_mass": belief.known_mass,
+    }
+
+
+def belief_from_document(document: Mapping[str, object]) -> Belief:
+    """The belief that `document_of_belief` wrote. Raises KeyError, TypeError or ValueError if not."""
+    return Belief(
+        parts=tuple(document["parts"]),
+        gravity=np.array(document["gravity"], float),
+        parameters=tuple(Parameter(**entry) for entry in document["parameters"]),
+        terms=tuple(Term(entry["name"], entry["settings"]) for entry in document["terms"]),
+        prestress=document["prestress"],
+        law=document["law"],
+        known_mass=document["known_mass"],
+    )

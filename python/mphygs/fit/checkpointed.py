@@ -1,0 +1,96 @@
+"""A fit that can be stopped after any stage and continued to the same numbers, bit for bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from mphygs.fit.determined import information_of
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, covariance
+from mphygs.fit.run import Run, StageRecord
+from mphygs.fit.schedule import Stage, fit_belief, stages
+from mphygs.simulate.prestress import RestShape
+
+# How many iterations a stage takes, as far as progress is concerned.
+USUAL_ITERATIONS = 5
+
+
+def _work(stage: Stage) -> float:
+    """Cost of a stage relative to others: cells times substeps times frames."""
+    return stage.share * stage.spacing**-4
+
+
+def _forget(experiment: Experiment) -> None:
+    """Drop what rest shapes remember of their last solution: the next stage begins as after a resume."""
+    for problem in experiment.problems.values():
+        for predictor in problem.predictors.values():
+            predictor.rest_shape = RestShape(predictor.body)
+
+
+def fit_run(
+    run: Run,
+    experiment: Experiment,
+    *,
+    warm: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Run:
+    """Run the stages that a run has not had yet; the folder is written after each of them.
+
+    warm: the run's belief is near its minimum already; progress: told the share of the work done, and a line.
+    Raises SimulationError where the fit cannot start.
+    """
+    if run.complete:
+        return run
+    plan = stages(run.settings.spacing, warm=warm)
+    total = sum(_work(stage) for stage in plan)
+    done = sum(_work(stage) for stage in plan[: len(run.history)])
+    begin = time.monotonic()
+    steps = 0
+    experiment.problem(run.settings.spacing)  # the noise is learnt once, and before anything is fitted
+
+    def report(line: str) -> None:
+        nonlocal steps
+        steps += 1
+        if progress:
+            share = min(steps / (USUAL_ITERATIONS + 1), 0.95)
+            progress((done + share * _work(plan[min(len(run.history), len(plan) - 1)])) / total, line)
+
+    def after_stage(stage: Stage, solution: Solution) -> None:
+        nonlocal run, done, begin, steps
+        now = time.monotonic()
+        record = StageRecord(
+            stage.name,
+            stage.spacing,
+            tuple(solution.history),
+            solution.converged,
+            solution.reason,
+            now - begin,
+        )
+        last = len(run.history) + 1 == len(plan)
+        run = run.after(record, solution.belief)
+        if last:
+            run = replace(
+                run,
+                covariance=covariance(solution.evaluation),
+                information=information_of(solution.evaluation, len(solution.belief.free)),
+            )
+        run.save()
+        _forget(experiment)
+        done, begin, steps = done + _work(stage), now, 0
+
+    _forget(experiment)
+    fit_belief(
+        experiment.capture,
+        run.belief,
+        experiment.fitted,
+        experiment.observations,
+        run.settings,
+        warm=warm,
+        report=report,
+        after_stage=after_stage,
+        start_stage=len(run.history),
+        problems=experiment.problems,
+    )
+    return run

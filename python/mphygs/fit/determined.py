@@ -1,0 +1,111 @@
+"""What the data determine, and what they leave to the priors.
+
+The posterior covariance of the fitted coordinates is compared with the prior one, direction by direction:
+in the generalised eigenproblem C_posterior d = lambda C_prior d, lambda is the share of the prior's variance
+that the data left (Spantini et al., "Optimal low-rank approximations of Bayesian linear inverse problems",
+SIAM J. Sci. Comput. 37, 2015).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.fit.problem import Evaluation
+from mphygs.model.belief import Parameter
+
+# A direction is undetermined where the posterior's standard deviation is more than half of the prior's.
+LARGEST_SHARE = 0.25
+# Without a prior: this many usual sizes of the parameter, at most half of the way between its bounds.
+USUAL_SIZES = 10.0
+# Priors may decide an uncertainty as long as it is small: 5 % of a logarithm, or of a usual size.
+SMALL = 0.05
+# Components below this share of a direction's largest are not named.
+SMALLEST_COMPONENT = 0.2
+
+
+@dataclass(frozen=True)
+class Determination:
+    """std: in the parameter's unit; determined: by the data; note: what is determined instead, or why not."""
+
+    std: float
+    determined: bool
+    note: str = ""
+
+
+def reference_std(parameter: Parameter) -> float:
+    """Standard deviation of the coordinate before the data: the prior's, or a wide one."""
+    if math.isfinite(parameter.prior_std):
+        return parameter.prior_std if parameter.log else parameter.prior_std / parameter.scale
+    if parameter.log:
+        return 3.0
+    reach = 0.5 * (parameter.upper - parameter.lower) / parameter.scale
+    return min(USUAL_SIZES, reach) if math.isfinite(reach) else USUAL_SIZES
+
+
+def information_of(evaluation: Evaluation, free_count: int) -> np.ndarray:
+    """Fisher information of the measurements, a known mass included, about the free coordinates, (P, P)."""
+    rows = evaluation.data_rows
+    # The priors' rows stand behind the measured ones, a known mass behind them.
+    measured = np.delete(evaluation.jacobian, np.s_[rows : rows + free_count], axis=0)
+    return measured.T @ measured
+
+
+def determinations(
+    free: Sequence[Parameter], information: np.ndarray, covariance: np.ndarray
+) -> dict[str, Determination]:
+    """By key, how well each free parameter is known.
+
+    information: (P, P) of the measurements alone; covariance: (P, P) of the coordinates, priors included.
+    """
+    if not free:
+        return {}
+    reference = np.array([reference_std(p) for p in free])
+    # In units of the prior: along each eigenvector the posterior's precision is 1 + the eigenvalue.
+    gain, vectors = np.linalg.eigh(information * np.outer(reference, reference))
+    left = 1.0 / (1.0 + np.maximum(gain, 0.0))
+    directions = vectors.T * reference  # rows: in coordinates, one prior standard deviation long
+    variance = (left[:, None] * directions**2).sum(0)
+    poor = left > LARGEST_SHARE
+    from_prior = (left[poor, None] * directions[poor] ** 2).sum(0)
+    found = {}
+    for k, parameter in enumerate(free):
+        spread = math.sqrt(max(covariance[k, k], 0.0))
+        undetermined = from_prior[k] > 0.5 * variance[k] and math.sqrt(variance[k]) > SMALL
+        if undetermined:
+            # Where neither data nor prior bound it, the pseudo-inverse would say that nothing is known as 0.
+            spread = max(spread, math.sqrt(variance[k]))
+            note = _note(free, directions[poor], left[poor], k)
+        else:
+            note = _bound_note(parameter)
+        found[parameter.key] = Determination(spread * parameter.slope, not undetermined, note)
+    return found
+
+
+def _bound_note(parameter: Parameter) -> str:
+    if parameter.value == parameter.lower and math.isfinite(parameter.lower):
+        return f"at its lower bound {parameter.lower:g} {parameter.unit}"
+    if parameter.value == parameter.upper and math.isfinite(parameter.upper):
+        return f"at its upper bound {parameter.upper:g} {parameter.unit}"
+    return ""
+
+
+def _note(free: Sequence[Parameter], directions: np.ndarray, left: np.ndarray, index: int) -> str:
+    """What the data say of a parameter that they do not determine on its own."""
+    direction = directions[np.argmax(left * directions[:, index] ** 2)]
+    named = np.flatnonzero(np.abs(direction) > SMALLEST_COMPONENT * np.abs(direction).max())
+    keys = [free[i].key for i in named]
+    if len(named) < 2 or index not in named:
+        return "the data say nothing about it"
+    same = np.ptp(direction[named]) < 0.3 * np.abs(direction[named]).max()
+    if all(free[i].log for i in named) and same:
+        if len(named) == 2:
+            return f"the data determine {keys[0]} / {keys[1]} only"
+        return f"the data determine only the ratios of {', '.join(keys)}"
+    if all(free[i].log for i in named) and len(named) == 2:
+        power = -direction[named[0]] / direction[named[1]]
+        return f"the data determine {keys[0]} * ({keys[1]})^{power:.2g} only"
+    return f"the data determine a combination of {', '.join(keys)} only"

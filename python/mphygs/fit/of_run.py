@@ -1,0 +1,76 @@
+"""A run's capture, simulators and errors, made again from its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from mphygs.capture.format import Capture, load_capture
+from mphygs.compare.assess import Compared
+from mphygs.compare.metrics import sequence_errors
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.run import Run, digest_of
+from mphygs.fit.start import starting_belief
+from mphygs.model.belief import Belief
+
+
+def capture_of(run: Run) -> Capture:
+    """The capture that a run was fitted to. Raises ValueError when it is no longer what was fitted."""
+    capture = load_capture(run.capture)
+    if digest_of(capture) != run.digest:
+        raise ValueError(
+            f"{run.capture}: has changed since {run.folder} was fitted; expected the same capture"
+        )
+    return capture
+
+
+def experiment_of(
+    run: Run, *, workers: int | None = None, other: Path | None = None
+) -> tuple[Experiment, Belief]:
+    """Simulators of a run's capture, or of another of the same object, and the belief for them.
+
+    Nothing of another capture counts as fitted; its releases enter the belief as they are stated.
+    Raises ValueError where the other capture has other parts, CaptureError where one cannot be read.
+    """
+    settings = run.settings if workers is None else replace(run.settings, workers=workers)
+    if other is None:
+        return Experiment(capture_of(run), settings, dict(run.ranges)), run.belief
+    capture = load_capture(other)
+    parts = tuple(part.name for part in capture.parts)
+    if parts != run.belief.parts:
+        expected = ", ".join(run.belief.parts)
+        raise ValueError(
+            f"{other}: has the parts {', '.join(parts) or 'none'}; expected those of {run.folder}: {expected}"
+        )
+    fresh = [p for p in starting_belief(capture).parameters if p.key.endswith(".release_shift")]
+    kept = [p for p in run.belief.parameters if not p.key.endswith(".release_shift")]
+    belief = replace(run.belief, parameters=(*kept, *(replace(p, free=False) for p in fresh)))
+    # The other capture's measured fields hold: gravity may be stated in another frame.
+    return Experiment(capture, settings, {}), replace(belief, gravity=capture.gravity)
+
+
+def chosen_names(experiment: Experiment, wanted: Sequence[str]) -> list[str]:
+    """Sequences to compare: all that can be, or those named. Raises ValueError for one that cannot be."""
+    for name in wanted:
+        try:
+            recording = experiment.capture.sequence(name)
+        except KeyError as error:
+            raise ValueError(str(error.args[0])) from error
+        if recording.markers is None:
+            raise ValueError(f"sequence '{name}' has no markers; expected measured points to compare with")
+    found = experiment.compared_names(list(wanted) or None)
+    if not found:
+        raise ValueError(
+            f"capture '{experiment.capture.name}': no sequence with markers and frames to fit or predict"
+        )
+    return found
+
+
+def errors_of(experiment: Experiment, compared: Mapping[str, Compared]) -> dict[str, dict]:
+    """Errors of compared sequences, over the stated sigma where the capture states one."""
+    sigmas = {}
+    for name, item in compared.items():
+        markers = experiment.capture.sequence(name).markers
+        sigmas[name] = markers.sigma if markers is not None and markers.sigma else item.observation.sigma
+    return sequence_errors(compared, sigmas)

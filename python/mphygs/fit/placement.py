@@ -1,0 +1,79 @@
+"""Effects named without a place or a direction: where the object itself suggests to put them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mphygs.capture.format import Capture
+from mphygs.capture.meshes import Part
+from mphygs.fit.start import with_effect
+from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
+from mphygs.scene.closest import closest_material
+
+PLACED = ("attached_mass", "tether")
+GRADIENTS = ("stiffness_gradient", "density_gradient")
+# A flow or a yield stress has no derivative where it is absent: fits start from a usual value.
+_DRAG_COEFFICIENT = 1.0
+
+
+def principal_axis(part: Part) -> np.ndarray:
+    """(3,) unit direction of a part's largest extent, its largest component positive."""
+    centred = part.vertices - part.vertices.mean(0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    return axis * np.sign(axis[np.abs(axis).argmax()])
+
+
+def place_of_effect(capture: Capture, sequences: Sequence[str]) -> np.ndarray:
+    """(3,) material point [m]: where a known load hangs, else at the marker farthest from what is held."""
+    recordings = [capture.sequence(name) for name in sequences]
+    for recording in recordings:
+        if recording.loads:
+            point = np.asarray(recording.loads[0].box, float).mean(0)
+            break
+    else:
+        recording = recordings[0]
+        at = recording.markers.at
+        distance = np.linalg.norm(at - at.mean(0), axis=1)
+        if recording.held:
+            boxes = np.array([hold.box for hold in recording.held])
+            gap = np.maximum(boxes[:, None, 0] - at, 0.0) + np.maximum(at - boxes[:, None, 1], 0.0)
+            distance = np.linalg.norm(gap, axis=-1).min(0)
+        point = at[distance.argmax()]
+    return closest_material(capture.parts, point[None]).anchor[0]
+
+
+def with_placed_effect(belief: Belief, name: str, capture: Capture, sequences: Sequence[str]) -> Belief:
+    """The belief with an effect added; what it needs besides numbers comes from the object.
+
+    A place: the known load's, else that of the marker farthest from the holds. A part: the largest. An axis:
+    that part's longest. Raises ValueError for an effect that is there already, and for one without any
+    derivative where it is absent: those are found by trials.
+    """
+    largest = max(capture.parts, key=lambda part: part.volume)
+    if effect(name).kind == "threshold" or name == "marker_outliers":
+        raise ValueError(
+            f"effect '{name}': a fit cannot start from its absence; "
+            f"expected it to be added by: mphygs extend RUN {name}"
+        )
+    if name in PLACED:
+        place = place_of_effect(capture, sequences)
+        values = {}
+        if name == "tether":
+            values = dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place), strict=True)) | {
+                "k": 1e-3
+            }
+        return belief.with_effect(name, values, {"place": place.tolist()})
+    if name in GRADIENTS:
+        return belief.with_effect(
+            name, settings={"part": largest.name, "axis": principal_axis(largest).tolist()}
+        )
+    if name == "fibre":
+        return belief.with_effect(
+            name, dict(zip(("a_x", "a_y", "a_z"), map(float, principal_axis(largest)), strict=True))
+        )
+    if name == "wind":
+        return belief.with_effect(name, {"c_d": _DRAG_COEFFICIENT})
+    return with_effect(belief, name)

@@ -1,0 +1,230 @@
+"""The run folder: exact options, versions, seed, what is believed, and how it was found."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from mphygs.capture.format import Capture
+from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
+from mphygs.model.belief import Belief
+from mphygs.simulate.prediction import Settings
+
+FORMAT = "mphygs-run/1"
+DOCUMENT, NUMBERS = "run.json", "numbers.safetensors"
+TRANSFERS = ("total-lagrangian", "mls")
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """One finished stage of the schedule. costs: half the sum of squares after every iteration."""
+
+    name: str
+    spacing: float
+    costs: tuple[float, ...]
+    converged: bool
+    reason: str
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Run:
+    """A fit, finished or on its way.
+
+    folder: where it is kept; options: of the command, as given; capture: folder of the capture fitted,
+    digest: of its content; settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
+    covariance: (P, P) of the free coordinates, information: (P, P) what the measurements alone say of them,
+    both None until the fit is complete; history: stages done;
+    start: the belief that the fit began with; answer: JSON of the command, once complete.
+    """
+
+    folder: Path
+    options: Mapping[str, object]
+    seed: int
+    capture: Path
+    digest: str
+    settings: Settings
+    transfer: str
+    ranges: Mapping[str, tuple[int, int]]
+    start: Belief
+    belief: Belief
+    versions: Mapping[str, str] = field(default_factory=lambda: versions())
+    covariance: np.ndarray | None = None
+    information: np.ndarray | None = None
+    history: tuple[StageRecord, ...] = ()
+    answer: Mapping[str, object] | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the schedule is done."""
+        return self.covariance is not None
+
+    def after(self, record: StageRecord, belief: Belief) -> Run:
+        """This run with one more stage done."""
+        return replace(self, belief=belief, history=(*self.history, record))
+
+    def save(self) -> None:
+        """Write the folder. Files are replaced as a whole: a write that is broken off leaves the last one."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        numbers = {"values": np.array([p.value for p in self.belief.parameters])}
+        if self.covariance is not None:
+            numbers["covariance"] = np.ascontiguousarray(self.covariance)
+            numbers["information"] = np.ascontiguousarray(self.information)
+        if self.history:
+            numbers["costs"] = np.array([cost for stage in self.history for cost in stage.costs])
+        content = save(
+            numbers, metadata={"format": FORMAT, "keys": json.dumps([p.key for p in self.belief.parameters])}
+        )
+        _replace_file(self.folder / NUMBERS, content)
+        _replace_file(self.folder / DOCUMENT, (json.dumps(self._document(), indent=1) + "\n").encode())
+
+    def _document(self) -> dict[str, object]:
+        capture = self.capture.resolve()
+        folder = self.folder.resolve()
+        inside = capture.is_relative_to(folder)
+        return {
+            "format": FORMAT,
+            "complete": self.complete,
+            "options": plain_value(self.options),
+            "versions": dict(self.versions),
+            "seed": self.seed,
+            "capture": str(capture.relative_to(folder) if inside else capture),
+            "digest": self.digest,
+            "transfer": self.transfer,
+            "settings": {
+                "spacing": self.settings.spacing,
+                "safety": self.settings.safety,
+                "dtype": self.settings.dtype,
+                "memory_budget": self.settings.memory_budget,
+            },
+            "ranges": {name: list(frames) for name, frames in self.ranges.items()},
+            "start": document_of_belief(self.start),
+            "belief": document_of_belief(self.belief),
+            "history": [asdict(record) for record in self.history],
+            "answer": plain_value(self.answer),
+        }
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for package in ("mphygs", "numpy", "scipy", "torch"):
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def digest_of(capture: Capture) -> str:
+    """A hash of everything in a capture that a fit depends on."""
+    hashed = hashlib.sha256()
+
+    def add(*values: object) -> None:
+        for value in values:
+            array = np.asarray(value) if isinstance(value, np.ndarray) else None
+            hashed.update(array.tobytes() if array is not None else repr(value).encode())
+
+    add(np.asarray(capture.gravity, float), capture.rest, sorted(capture.known.density.items()))
+    add(capture.known.poissons_ratio, capture.known.mass)
+    for part in capture.parts:
+        add(part.name, part.vertices, part.faces)
+    for recording in capture.sequences:
+        add(
+            recording.name,
+            recording.fps,
+            recording.frames,
+            recording.fit,
+            recording.predict,
+            recording.release,
+        )
+        for hold in recording.held:
+            add(np.asarray(hold.box), hold.position, hold.quaternion)
+        for load in recording.loads:
+            add(np.asarray(load.box), np.asarray(load.force), load.start_frame)
+        if recording.markers is not None:
+            add(recording.markers.at, recording.markers.position, recording.markers.sigma)
+    return hashed.hexdigest()
+
+
+def _replace_file(path: Path, content: bytes) -> None:
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    with part.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+    os.replace(part, path)
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder holds a run."""
+    return (folder / DOCUMENT).is_file()
+
+
+def load_run(path: str | Path) -> Run:
+    """The run in a folder. Raises ValueError, one line, where there is none or it is damaged."""
+    folder = Path(path)
+    if folder.name == DOCUMENT and folder.is_file():
+        folder = folder.parent
+    if not is_run(folder):
+        raise ValueError(f"{folder}: is not a run; expected a folder with a {DOCUMENT}, as fit writes it")
+    where = folder / DOCUMENT
+    try:
+        document = json.loads(where.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{where}: is not JSON ({error}); expected a run as fit writes it") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise ValueError(f"{where}: format is {found!r}; expected {FORMAT!r}")
+    try:
+        belief = belief_from_document(document["belief"])
+        run = Run(
+            folder=folder,
+            options=document["options"],
+            versions=document["versions"],
+            seed=int(document["seed"]),
+            # A capture inside the run folder moves with it.
+            capture=folder / document["capture"],
+            digest=document["digest"],
+            settings=Settings(**document["settings"]),
+            transfer=document["transfer"],
+            ranges={name: (int(a), int(b)) for name, (a, b) in document["ranges"].items()},
+            start=belief_from_document(document["start"]),
+            belief=belief,
+            history=tuple(StageRecord(**{**r, "costs": tuple(r["costs"])}) for r in document["history"]),
+            answer=document["answer"],
+        )
+        complete = bool(document["complete"])
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{where}: {' '.join(what.split())}; expected a run as fit writes it") from error
+    if not complete:
+        return run
+    covariance, information = _matrices(folder, belief)
+    return replace(run, covariance=covariance, information=information)
+
+
+def _matrices(folder: Path, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance and information of a complete run, whose numbers must be those of its belief."""
+    where = folder / NUMBERS
+    try:
+        numbers = load_file(where)
+        values, covariance, information = (numbers[key] for key in ("values", "covariance", "information"))
+    except (OSError, SafetensorError, KeyError) as error:
+        raise ValueError(f"{where}: cannot be read ({error}); expected the numbers of {DOCUMENT}") from error
+    count = len(belief.free)
+    if not covariance.shape == information.shape == (count, count) or not np.array_equal(
+        values, [p.value for p in belief.parameters]
+    ):
+        raise ValueError(f"{where}: does not belong to {DOCUMENT}; expected the same values in both")
+    return covariance, information

@@ -1,0 +1,71 @@
+"""Fitted numbers and errors as text for people and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mphygs.fit.determined import determinations
+from mphygs.fit.run import Run
+
+
+def parameters_document(run: Run) -> dict[str, dict[str, object]]:
+    """Key -> value, std, unit, whether the data determine it, and a note where there is something to say.
+
+    Raises ValueError for a run that is not complete.
+    """
+    if run.covariance is None or run.information is None:
+        raise ValueError(
+            f"{run.folder}: is not complete; expected a finished run (fit --out {run.folder} --resume)"
+        )
+    known = determinations(run.belief.free, run.information, run.covariance)
+    out = {}
+    for parameter in run.belief.free:
+        found = known[parameter.key]
+        entry = {
+            "value": parameter.value,
+            "std": found.std,
+            "unit": parameter.unit,
+            "determined": found.determined,
+        }
+        out[parameter.key] = entry | ({"note": found.note} if found.note else {})
+    return out
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells in aligned columns; the first row is the head."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
+    return "\n".join([lines[0], "-" * max(len(line) for line in lines), *lines[1:]])
+
+
+def parameters_text(parameters: Mapping[str, Mapping[str, object]]) -> str:
+    """The fitted parameters, one a line; what the data do not determine says so."""
+    rows = [["parameter", "value", "std", "unit", ""]]
+    for key, entry in parameters.items():
+        remark = str(entry.get("note", ""))
+        if not entry["determined"]:
+            remark = f"NOT DETERMINED: {remark}"
+        rows.append([key, f"{entry['value']:.5g}", f"{entry['std']:.2g}", str(entry["unit"]), remark])
+    return table(rows)
+
+
+def errors_text(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]]) -> str:
+    """Errors by sequence and range of frames, in millimetres and in standard deviations of the noise."""
+    rows = [["sequence", "frames", "rms mm", "max mm", "rms / sigma", "points"]]
+    for name, ranges in sequences.items():
+        for label in ("fit", "predict", "all"):
+            error = ranges.get(label)
+            if error is not None:
+                rows.append(
+                    [
+                        name,
+                        label,
+                        f"{1e3 * error['rms']:.3f}",
+                        f"{1e3 * error['max']:.3f}",
+                        f"{error['rms_over_sigma']:.3f}",
+                        str(error["count"]),
+                    ]
+                )
+    return table(rows)

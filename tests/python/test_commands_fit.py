@@ -1,0 +1,206 @@
+"""The fit command: its JSON, its exit codes, its run folder, stopping and resuming."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from command_example import ETA, SIGMA, SPACING, TRUTH, answer, call, make_capture
+from mphygs.capture.format import Known
+from mphygs.fit import __main__ as command
+from mphygs.fit import checkpointed
+from mphygs.fit.run import load_run
+from mphygs.simulate.errors import SimulationError
+
+OPTIONS = ("--spacing", SPACING, "--workers", 1)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_capture(tmp_path_factory.mktemp("capture"))
+
+
+@pytest.fixture(scope="module")
+def fitted(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
+    out = tmp_path_factory.mktemp("runs") / "viscous"
+    return answer(command.main, capture, "--effects", "viscosity", "--out", out, *OPTIONS)
+
+
+def test_finds_the_truth_within_its_errors(fitted: dict) -> None:
+    for key, truth in {**TRUTH, "viscosity.eta": ETA}.items():
+        entry = fitted["parameters"][key]
+        assert entry["determined"]
+        assert 0 < entry["std"] < 0.1 * truth
+        assert abs(entry["value"] - truth) < 3 * entry["std"]
+    assert fitted["parameters"]["viscosity.eta"]["unit"] == "Pa s"
+
+
+def test_json_has_the_documented_shape(fitted: dict) -> None:
+    assert {"run", "parameters", "seconds", "substeps", "sequences"} <= set(fitted)
+    assert set(fitted["sequences"]) == {"swing", "other"}
+    assert fitted["sequences"]["other"]["fit"] is None
+    for ranges in (fitted["sequences"]["swing"]["fit"], fitted["sequences"]["swing"]["predict"]):
+        assert set(ranges) == {"rms", "max", "rms_over_sigma", "count"}
+        assert ranges["rms_over_sigma"] == pytest.approx(1.0, abs=0.1)
+        assert ranges["rms"] == pytest.approx(ranges["rms_over_sigma"] * SIGMA * np.sqrt(3))
+    assert fitted["sequences"]["swing"]["fit"]["count"] == 16 * 12 - 1
+    assert fitted["substeps"] > 50
+
+
+def test_run_folder_holds_the_same_numbers_twice(fitted: dict) -> None:
+    folder = Path(fitted["run"])
+    document = json.loads((folder / "run.json").read_text())
+    numbers = load_file(folder / "numbers.safetensors")
+    assert numbers["values"].tolist() == [p["value"] for p in document["belief"]["parameters"]]
+    run = load_run(folder)
+    assert run.complete and run.belief.effects == ("viscosity",)
+    std = np.sqrt(np.diag(run.covariance))
+    stated = fitted["parameters"]["bar.youngs_modulus"]["std"]
+    assert std[0] * run.belief.free[0].slope == pytest.approx(stated)
+    assert document["versions"]["numpy"] == np.__version__
+    assert [stage["name"] for stage in document["history"]][-1] == "fine"
+
+
+def test_same_options_same_numbers_and_resume_too(
+    fitted: dict, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "again"
+    whole = checkpointed.Run.save
+
+    def broken_off(run: checkpointed.Run) -> None:
+        whole(run)
+        if len(run.history) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpointed.Run, "save", broken_off)
+    code, stdout, stderr = call(
+        command.main, capture, "--effects", "viscosity", "--out", out, "--spacing", SPACING, "--workers", 2
+    )
+    assert code == 130 and stdout == ""
+    assert f"mphygs fit --out {out} --resume" in stderr.splitlines()[-1]
+    monkeypatch.undo()
+    assert not load_run(out).complete
+    resumed = answer(command.main, "--out", out, "--resume")
+    assert resumed["parameters"] == fitted["parameters"]
+    assert resumed["sequences"] == fitted["sequences"]
+    one, other = (load_file(Path(folder) / "numbers.safetensors") for folder in (out, fitted["run"]))
+    assert all(one[key].tobytes() == other[key].tobytes() for key in other)
+
+
+def test_resume_wants_the_same_options(fitted: dict) -> None:
+    code, _, stderr = call(command.main, "--out", fitted["run"], "--resume", "--frames", "0:9")
+    assert code == 2
+    assert "--frames" in stderr and "same options" in stderr
+
+
+def test_interrupt_from_outside(capture: Path, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mphygs.fit", capture, "--out", tmp_path / "run", "--spacing", "0.004"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    for _ in range(600):
+        if (tmp_path / "run" / "run.json").exists():
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert stdout == ""
+    expected = f"mphygs fit: interrupted; continue with: mphygs fit --out {tmp_path}/run --resume"
+    assert stderr.splitlines()[-1] == expected
+
+
+def test_says_what_gravity_alone_does_not_tell(tmp_path: Path) -> None:
+    folder = make_capture(tmp_path / "capture", known=Known(poissons_ratio=0.4), eta=0.0)
+    found = answer(command.main, folder, "--out", tmp_path / "run", *OPTIONS)["parameters"]
+    for key in ("bar.youngs_modulus", "bar.density"):
+        assert found[key]["determined"] is False
+        assert found[key]["note"] == "the data determine bar.youngs_modulus / bar.density only"
+    ratio = found["bar.youngs_modulus"]["value"] / found["bar.density"]["value"]
+    assert ratio == pytest.approx(TRUTH["bar.youngs_modulus"] / 1000.0, rel=0.02)
+    code, out, _ = call(command.main, "--out", tmp_path / "run", "--resume")
+    assert code == 0
+    assert sum("NOT DETERMINED" in line for line in out.splitlines()) == 2
+
+
+def test_release_of_an_unfitted_sequence_is_found(tmp_path: Path) -> None:
+    folder = make_capture(tmp_path / "capture", release=3)
+    document = json.loads((folder / "capture.json").read_text())
+    document["sequences"][1]["release"] = 2  # stated one frame early
+    (folder / "capture.json").write_text(json.dumps(document))
+    found = answer(command.main, folder, "--effects", "viscosity", "--out", tmp_path / "run", *OPTIONS)
+    assert list(found["parameters"]) == ["bar.youngs_modulus", "swing.release_shift", "viscosity.eta"]
+    assert found["sequences"]["other"]["predict"]["rms_over_sigma"] < 1.15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--effects", "magic"], "unknown effect 'magic'; expected some of air_drag"),
+        (["--sequences", "none"], 'no sequence "none"; expected one of swing, other'),
+        (["--sequences", "other"], "no sequence has markers and frames to fit"),
+        (["--frames", "3"], "expected i:j"),
+        (["--frames", "5:99"], "0 <= i < j <= 24"),
+        (["--spacing", "-1"], "a length above zero [m]"),
+        (["--spacing", "wide"], "could not convert string to float"),
+        (["--effects", "contact"], "mphygs extend"),
+        (["--colour", "red"], "--colour"),
+        (["--transfer", "sph"], "--transfer"),
+    ],
+)
+def test_faulty_options_end_in_one_line_and_2(
+    arguments: list[str], words: str, capture: Path, tmp_path: Path
+) -> None:
+    code, out, err = call(command.main, capture, "--out", tmp_path / "run", *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1 and "Traceback" not in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_faulty_input_ends_in_one_line_and_2(tmp_path: Path) -> None:
+    code, _, err = call(command.main, tmp_path / "nowhere")
+    assert code == 2 and "expected a folder with a capture.json" in err and err.count("\n") == 1
+    (tmp_path / "kept.txt").write_text("mine")
+    code, _, err = call(command.main, make_capture(tmp_path / "capture"), "--out", tmp_path)
+    assert code == 2 and "expected a run folder, or a new one" in err
+    assert (tmp_path / "kept.txt").read_text() == "mine"
+
+
+def test_unstable_simulation_ends_in_1(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unstable(*_: object, **__: object) -> None:
+        raise SimulationError("frame 3, part bar: unstable")
+
+    monkeypatch.setattr(command, "fit_run", unstable)
+    code, out, err = call(command.main, capture, "--out", tmp_path / "run", "--json", *OPTIONS)
+    assert (code, out) == (1, "")
+    assert err.splitlines()[-1] == "mphygs fit: frame 3, part bar: unstable"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda f: (f / "run.json").write_text("{"), "is not JSON"),
+        (lambda f: (f / "run.json").write_text('{"format": "other"}'), "expected 'mphygs-run/1'"),
+        (lambda f: (f / "run.json").write_text('{"format": "mphygs-run/1"}'), "key 'belief' is missing"),
+        (lambda f: (f / "run.json").unlink(), "is not a run"),
+        (lambda f: (f / "numbers.safetensors").write_bytes(b"x"), "numbers.safetensors: cannot be read"),
+    ],
+)
+def test_damaged_runs_are_refused_in_one_line(spoil, words: str, fitted: dict, tmp_path: Path) -> None:
+    for name in ("run.json", "numbers.safetensors"):
+        (tmp_path / name).write_bytes((Path(fitted["run"]) / name).read_bytes())
+    load_run(tmp_path)
+    spoil(tmp_path)
+    with pytest.raises(ValueError, match=words) as caught:
+        load_run(tmp_path)
+    assert "\n" not in str(caught.value)
