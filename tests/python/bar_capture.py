@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +43,10 @@ def bar_capture(
     sigma: float = 1e-4,
     motion: np.ndarray | None = None,
     fit: tuple[int, int] = (0, 0),
-    rotation: np.ndarray | None = None,
 ) -> Capture:
     """A bar along x of one part per length, held (if at all) over the first `held` metres before x = 0.
 
-    side, depth: along y and z [m]; motion: (T, 3) translation of the hold [m]; rotation: (3, 3), turns the
-    object's parts and gravity about the origin (a turned bar cannot be held: boxes stay upright).
+    side, depth: along y and z [m]; motion: (T, 3) translation of the hold [m].
     """
     depth = side if depth is None else depth
     parts, start = [], 0.0 if held is None else -held
@@ -55,15 +54,9 @@ def bar_capture(
     for k, end in enumerate(ends):
         parts.append(box_part(f"part{k}", (start, 0.0, 0.0), (end, side, depth)))
         start = end
-    if rotation is not None:
-        assert held is None
-        parts = [Part(p.name, p.vertices @ rotation.T, p.faces) for p in parts]
-        gravity = rotation @ gravity
     if markers_at is None:
         shares = np.array([[1.0, 0.5, 0.5], [1.0, 1.0, 1.0], [0.7, 0.0, 0.5], [0.4, 0.5, 1.0]])
         markers_at = shares * [ends[-1], side, depth]
-        if rotation is not None:
-            markers_at = markers_at @ rotation.T
     if position is None:
         position = np.tile(markers_at, (frames, 1, 1))
     holds: tuple[Hold, ...] = ()
@@ -76,6 +69,28 @@ def bar_capture(
     )
     return Capture(
         "bar", Path("."), np.asarray(gravity, float), tuple(parts), rest, known or Known(), (recording,)
+    )
+
+
+def turned(capture: Capture, rotation: np.ndarray) -> Capture:
+    """The same capture with everything turned about the origin. rotation: (3, 3); boxes need right angles."""
+    parts = tuple(Part(p.name, p.vertices @ rotation.T, p.faces) for p in capture.parts)
+
+    def box(corners: np.ndarray) -> np.ndarray:
+        assert np.isin(np.abs(rotation), (0.0, 1.0)).all()
+        return np.sort(corners @ rotation.T, axis=0)
+
+    def recording(one: Recording) -> Recording:
+        assert one.markers is not None and all(h.is_fixed for h in one.held)
+        markers = Markers(one.markers.position @ rotation.T, one.markers.at @ rotation.T, one.markers.sigma)
+        loads = tuple(Load(box(load.box), rotation @ load.force, load.start_frame) for load in one.loads)
+        return replace(one, markers=markers, loads=loads, held=tuple(Hold(box(h.box)) for h in one.held))
+
+    return replace(
+        capture,
+        parts=parts,
+        gravity=rotation @ capture.gravity,
+        sequences=tuple(map(recording, capture.sequences)),
     )
 
 
