@@ -1,0 +1,193 @@
+"""From a recipe to a capture folder with its answer."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mphygs.capture.format import Capture, Hold, Known, Markers, save_capture
+from mphygs.capture.record import Sequence as Recording
+from mphygs.fit.schedule import default_spacing
+from mphygs.synth.faults import seen_through, shifted
+from mphygs.synth.hidden import Hidden
+from mphygs.synth.markers import measure, place_markers
+from mphygs.synth.motions import hold_poses
+from mphygs.synth.recipe import Recipe, Take
+from mphygs.synth.truth import Motion, simulate
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A capture written to `folder`, and what its answer.json says."""
+
+    folder: Path
+    answer: dict[str, object]
+
+
+def make_capture(
+    recipe: Recipe,
+    folder: str | Path,
+    *,
+    measure_signal: bool = True,
+    report: Callable[[str], None] | None = None,
+) -> Made:
+    """Simulate a recipe and write the capture and its answer.json to `folder`.
+
+    measure_signal: also simulate without what is hidden, to state its size over the noise.
+    Raises ValueError for a recipe that contradicts itself, SimulationError where it cannot be simulated.
+    """
+    folder = Path(folder)
+    places = place_markers(recipe.shape.parts, recipe.marker_count, np.random.default_rng([recipe.seed, 2]))
+    faults = {thing.name: thing.values for thing in recipe.of_kind("fault")}
+    offset = faults["time_offset"]["offset"] if "time_offset" in faults else 0.0
+    capture = _bare_capture(recipe, folder, places)
+    spacing = recipe.spacing_share * default_spacing(capture)
+    physics = tuple(h for h in recipe.hidden if h.kind != "fault")
+    recordings, differences, outliers, substeps = [], [], {}, []
+    motions: dict[str, Motion] = {}
+    for number, (take, recording) in enumerate(zip(recipe.takes, capture.sequences, strict=True)):
+        longer = _recording(recipe, take, places, extra=max(0, math.ceil(offset * take.fps)))
+        if report:
+            report(f"{take.name}: {longer.frames} frames at {1e3 * spacing:.3g} mm")
+        motions[take.name] = motion = simulate(capture, longer, recipe, physics, spacing)
+        substeps.append(motion.substeps)
+        seen, lost = _seen(motion, take, faults, offset, np.random.default_rng([recipe.seed, 3, number]))
+        if len(lost):
+            outliers[take.name] = lost.tolist()
+        # Noise of its own seed: the same with and without a fault that draws numbers.
+        tracks = measure(seen, recipe.noise, np.random.default_rng([recipe.seed, 4, number]))
+        recordings.append(replace(recording, markers=Markers(tracks, places, recipe.noise.sigma)))
+        if recipe.hidden and measure_signal:
+            if report:
+                report(f"{take.name}: without what is hidden")
+            plain = (
+                simulate(capture, recording, recipe, (), spacing).position
+                if physics
+                else motion.position[: take.frames]
+            )
+            differences.append(_difference(seen, plain, take, recipe.noise.sigma))
+    capture = replace(capture, sequences=tuple(recordings))
+    save_capture(capture, folder)
+    answer = _answer(recipe, differences, outliers, motions)
+    answer["simulation"] = {"simulator": "total-lagrangian", "spacing": spacing, "substeps": substeps}
+    (folder / "answer.json").write_text(
+        json.dumps(answer, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
+    return Made(folder, answer)
+
+
+def _bare_capture(recipe: Recipe, folder: Path, places: np.ndarray) -> Capture:
+    """The capture before anything was recorded: with what is known of it."""
+    shape = recipe.shape
+    ratios = {name: material.poissons_ratio for name, material in recipe.materials.items()}
+    same = len(set(ratios.values())) == 1
+    stated = {"first-density": shape.part_names[:1], "densities": shape.part_names, "mass": ()}[recipe.known]
+    known = Known(
+        density={name: recipe.materials[name].density for name in stated},
+        poissons_ratio=next(iter(ratios.values())) if same else ratios,
+        mass=recipe.mass if recipe.known == "mass" else None,
+    )
+    recordings = tuple(_recording(recipe, take, places) for take in recipe.takes)
+    return Capture(recipe.name, folder, shape.gravity, shape.parts, shape.rest, known, recordings)
+
+
+def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -> Recording:
+    """One take without measurements, `extra` frames longer."""
+    frames = take.frames + extra
+    shape = recipe.shape
+    hold = Hold(shape.hold)
+    if take.motions:
+        hold = Hold(shape.hold, *hold_poses(take.motions, np.arange(frames) / take.fps, shape.pivot))
+    unseen = Markers(np.full((frames, len(places), 3), np.nan), places, recipe.noise.sigma)
+    return Recording(
+        take.name,
+        take.fps,
+        frames,
+        fit=take.fit,
+        predict=take.predict,
+        held=(hold,),
+        release=take.release,
+        markers=unseen,
+    )
+
+
+def _seen(
+    motion: Motion,
+    take: Take,
+    faults: Mapping[str, Mapping[str, float]],
+    offset: float,
+    generator: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a noiseless measurement shows (T, M, 3) [m], and the markers that lost the object."""
+    times = np.arange(take.frames) / take.fps
+    position = motion.position[: take.frames]
+    if offset:
+        recorded = np.arange(len(motion.position)) / take.fps
+        position = shifted(recorded, motion.position, motion.velocity, times + offset)
+    return seen_through(position, times, faults, motion.attachment.hold < 0, generator)
+
+
+def _difference(seen: np.ndarray, plain: np.ndarray, take: Take, sigma: float) -> dict[str, float]:
+    """How far what is seen lies from the motion without what is hidden."""
+    distance = np.linalg.norm(seen - plain, axis=2)
+
+    def rms(frames: tuple[int, int]) -> float | None:
+        window = distance[slice(*frames)]
+        return float(np.sqrt(np.mean(window**2))) / sigma if window.size else None
+
+    return {
+        "rms_difference_m": float(np.sqrt(np.mean(distance**2))),
+        "signal_over_noise": rms((0, len(distance))),
+        "signal_over_noise_fit": rms(take.fit),
+        "signal_over_noise_predict": rms(take.predict),
+        "largest_difference_m": float(distance.max()),
+    }
+
+
+def _answer(
+    recipe: Recipe,
+    differences: Sequence[dict],
+    outliers: Mapping[str, list[int]],
+    motions: Mapping[str, Motion],
+) -> dict[str, object]:
+    """The truth, in the words of the other answers there are."""
+    volume = {part.name: part.volume for part in recipe.shape.parts}
+    parts = {
+        name: {
+            "E": m.youngs_modulus, "rho": m.density, "nu": m.poissons_ratio, "mass": m.density * volume[name],
+            "volume_published": volume[name],
+        }
+        for name, m in recipe.materials.items()
+    }  # fmt: skip
+    faults: dict[str, object] = {h.name: dict(h.values) for h in recipe.of_kind("fault")}
+    if outliers:
+        faults["marker_outliers"]["markers"] = outliers
+    rest = {take.name: motions[take.name].position[: take.frames] for take in recipe.takes}
+    return {
+        "case": recipe.name,
+        "hidden": [_public_name(h) for h in recipe.hidden] or ["none"],
+        "effects": {h.name: {**h.values, **h.settings} for h in recipe.hidden if h.kind != "fault"},
+        "faults": faults,
+        "rest": recipe.shape.rest,
+        "gravity_published": recipe.shape.gravity.tolist(),
+        "parts": parts,
+        "object": {"shape": recipe.shape.name},
+        "sigma": recipe.noise.sigma,
+        "noise": asdict(recipe.noise),
+        "seed": recipe.seed,
+        "markers": recipe.marker_count,
+        "motions": [[asdict(m) for m in take.motions] for take in recipe.takes],
+        "signal_over_noise": differences[0]["signal_over_noise"] if differences else None,
+        "rms_difference_m": differences[0]["rms_difference_m"] if differences else None,
+        "differences": {"without_all": list(differences)} if differences else {},
+        "largest_motion_m": [float(np.linalg.norm(p - p[0], axis=2).max()) for p in rest.values()],
+    }
+
+
+def _public_name(thing: Hidden) -> str:
+    return f"unknown:{thing.name}" if thing.kind == "cause" else thing.name

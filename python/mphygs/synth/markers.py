@@ -1,0 +1,114 @@
+"""Markers inside an object and on its surface, and what noise and loss do to their tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.capture.meshes import Part
+from mphygs.scene.particles import inside
+
+NOISES = ("white", "correlated", "jitter")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one coordinate of one marker.
+
+    kind: white; correlated: a share of the variance follows an AR(1) in time; jitter: a share is common to
+    all markers of a frame. sigma: [m], of all together; share: of the variance; correlation: from frame to
+    frame; dropout: share of the values that are missing.
+    """
+
+    kind: str = "white"
+    sigma: float = 2e-4
+    share: float = 0.5
+    correlation: float = 0.9
+    dropout: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.kind not in NOISES:
+            raise ValueError(f"noise '{self.kind}': expected one of {', '.join(NOISES)}")
+        if not self.sigma > 0.0:
+            raise ValueError(f"noise sigma {self.sigma} m: expected above 0")
+        for name, value in (
+            ("share", self.share),
+            ("correlation", self.correlation),
+            ("dropout", self.dropout),
+        ):
+            if not 0.0 <= value < 1.0:
+                raise ValueError(f"noise {name} {value}: expected at least 0 and below 1")
+
+
+def place_markers(parts: Sequence[Part], count: int, generator: np.random.Generator) -> np.ndarray:
+    """(count, 3) marker places [m], half inside and half on the surface, spread by volume and by area.
+
+    Every part gets at least two of each kind. Raises ValueError when `count` does not allow that.
+    """
+    if count < 4 * len(parts):
+        raise ValueError(f"{count} markers on {len(parts)} parts: expected at least {4 * len(parts)}")
+    half = count // 2
+    volumes = np.array([part.volume for part in parts])
+    areas = np.array([_triangles(part)[1].sum() for part in parts])
+    places = []
+    for part, within, on in zip(parts, _shares(volumes, half), _shares(areas, count - half), strict=True):
+        places += [_within(part, within, generator), _on_surface(part, on, generator)]
+    return np.concatenate(places)
+
+
+def _shares(weights: np.ndarray, count: int) -> np.ndarray:
+    """Whole numbers of at least two that add up to `count`, in proportion to weights."""
+    numbers = np.maximum(np.floor(weights / weights.sum() * count).astype(int), 2)
+    while numbers.sum() != count:
+        gap = weights / weights.sum() * count - numbers
+        if numbers.sum() < count:
+            numbers[gap.argmax()] += 1
+        else:
+            numbers[np.where(numbers > 2, gap, np.inf).argmin()] -= 1
+    return numbers
+
+
+def _within(part: Part, count: int, generator: np.random.Generator) -> np.ndarray:
+    low, high = part.bounds
+    found = np.zeros((0, 3))
+    while len(found) < count:
+        points = generator.uniform(low, high, (4 * count, 3))
+        found = np.concatenate([found, points[inside(part, points)]])
+    return found[:count]
+
+
+def _triangles(part: Part) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (F, 3, 3) [m] and areas (F,) [m^2]."""
+    corners = part.vertices[part.faces]
+    return corners, 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+
+
+def _on_surface(part: Part, count: int, generator: np.random.Generator) -> np.ndarray:
+    corners, area = _triangles(part)
+    chosen = corners[generator.choice(len(area), count, p=area / area.sum())]
+    weights = generator.dirichlet(np.ones(3), count)
+    return np.einsum("mk,mkc->mc", weights, chosen)
+
+
+def measure(position: np.ndarray, noise: Noise, generator: np.random.Generator) -> np.ndarray:
+    """Tracks (T, M, 3) [m] with noise on every coordinate, NaN where a marker was not seen."""
+    white = generator.standard_normal(position.shape)
+    if noise.kind != "white":
+        part = np.empty_like(position) if noise.kind == "correlated" else np.empty((len(position), 1, 3))
+        innovation = generator.standard_normal(part.shape)
+        if noise.kind == "correlated":
+            part[0] = innovation[0]
+            for k in range(1, len(part)):
+                part[k] = (
+                    noise.correlation * part[k - 1] + np.sqrt(1.0 - noise.correlation**2) * innovation[k]
+                )
+        else:
+            part[:] = innovation
+        white = np.sqrt(1.0 - noise.share) * white + np.sqrt(noise.share) * part
+    measured = position + noise.sigma * white
+    measured[generator.random(position.shape[:2]) < noise.dropout] = np.nan
+    return measured

@@ -1,0 +1,150 @@
+"""How a capture with known truth is made: object, materials, motions, what is hidden, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mphygs.synth.hidden import Hidden, parse
+from mphygs.synth.markers import Noise
+from mphygs.synth.motions import Motion
+from mphygs.synth.shapes import Shape, shape
+
+KNOWN = ("first-density", "densities", "mass")
+
+
+@dataclass(frozen=True)
+class Material:
+    """Young's modulus [Pa], density [kg/m^3] of the published shape, Poisson's ratio [-]."""
+
+    youngs_modulus: float
+    density: float
+    poissons_ratio: float
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recorded motion. fit, predict: frame ranges; release: all points rest until this frame."""
+
+    name: str
+    motions: tuple[Motion, ...]
+    fps: float
+    frames: int
+    fit: tuple[int, int]
+    predict: tuple[int, int]
+    release: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """Everything a capture is made of; the same recipe gives the same files.
+
+    spacing_share: of the fit's default spacing, at which the truth is simulated; known: what the capture
+    states beside Poisson's ratio, the density of the first part, of all parts, or the mass of the object.
+    """
+
+    name: str
+    shape: Shape
+    materials: Mapping[str, Material]
+    takes: tuple[Take, ...]
+    hidden: tuple[Hidden, ...] = ()
+    noise: Noise = field(default_factory=Noise)
+    marker_count: int = 120
+    seed: int = 0
+    spacing_share: float = 0.62
+    known: str = "first-density"
+
+    def __post_init__(self) -> None:
+        if self.known not in KNOWN:
+            raise ValueError(f"known '{self.known}': expected one of {', '.join(KNOWN)}")
+
+    @property
+    def mass(self) -> float:
+        """Of the whole object [kg]."""
+        return sum(self.materials[part.name].density * part.volume for part in self.shape.parts)
+
+    def of_kind(self, kind: str) -> tuple[Hidden, ...]:
+        return tuple(h for h in self.hidden if h.kind == kind)
+
+
+def default_takes(kind: Shape, *, frames: int = 80) -> tuple[Take, ...]:
+    """Two motions for an object, one to fit and one for prediction only."""
+    fit, predict = (0, round(0.625 * frames)), (round(0.625 * frames), frames)
+    if kind.rest == "stress-free":
+        first = (Motion("shift", 0.1, 0.4, by=(0.0, 0.02, 0.01)),)
+        second = (
+            Motion("shake", 0.1, 1.2, by=(0.0, 0.005, 0.003), frequency=3.1, ramp=0.25),
+            Motion("turn", 0.3, 0.8, axis=(1.0, 0.0, 0.0), degrees=25.0),
+        )
+        fps, release = 60.0, 2
+    else:
+        first = (
+            Motion("shake", 0.1, 1.9, by=(0.008, 0.005, 0.0), frequency=1.7, ramp=0.25),
+            Motion("turn", 0.6, 1.3, axis=(0.0, 1.0, 0.0), degrees=5.0),
+        )
+        second = (
+            Motion("rock", 0.1, 1.9, axis=(0.0, 0.0, 1.0), degrees=30.0, frequency=1.0, ramp=0.25),
+            Motion("shift", 0.3, 1.0, by=(0.02, 0.0, 0.03)),
+        )
+        fps, release = 30.0, None
+    return (
+        Take("a", first, fps, frames, fit, predict, release),
+        Take("b", second, fps, frames, (0, 0), (0, frames), release),
+    )
+
+
+def default_materials(
+    kind: Shape, seed: int, *, poissons_ratio: float = 0.35, spread: float = 0.15
+) -> dict[str, Material]:
+    """Usual materials of an object's parts, moved by the seed: spread is that of the logarithms."""
+    generator = np.random.default_rng([seed, 1])
+    materials = {}
+    for name in kind.part_names:
+        stiff, dense = np.exp(spread * generator.standard_normal(2))
+        materials[name] = Material(
+            float(f"{kind.youngs_modulus[name] * stiff:.3g}"),
+            float(f"{kind.density[name] * dense:.3g}"),
+            poissons_ratio,
+        )
+    return materials
+
+
+def recipe(
+    kind: str,
+    *,
+    hidden: tuple[str, ...] = (),
+    seed: int = 0,
+    noise: Noise | None = None,
+    name: str | None = None,
+    frames: int = 80,
+    marker_count: int = 120,
+    takes: tuple[Take, ...] | None = None,
+    spacing_share: float = 0.62,
+    sizes: Mapping[str, float] | None = None,
+    known: str = "first-density",
+) -> Recipe:
+    """A recipe from names. kind: as in shapes; hidden: each `name` or `name:key=value:...`.
+
+    Raises ValueError for unknown kinds, names and keys, and for something hidden twice.
+    """
+    body = shape(kind, **(sizes or {}))
+    materials = default_materials(body, seed)
+    mass = sum(materials[part.name].density * part.volume for part in body.parts)
+    stiffest = max(m.youngs_modulus for m in materials.values())
+    things = tuple(parse(text, body, mass, stiffest) for text in hidden)
+    if len({h.name for h in things}) != len(things):
+        raise ValueError(f"hidden '{', '.join(hidden)}': expected every name once")
+    return Recipe(
+        name=name or kind,
+        shape=body,
+        materials=materials,
+        takes=takes or default_takes(body, frames=frames),
+        hidden=things,
+        noise=noise or Noise(),
+        marker_count=marker_count,
+        seed=seed,
+        spacing_share=spacing_share,
+        known=known,
+    )

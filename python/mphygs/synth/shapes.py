@@ -1,0 +1,189 @@
+"""Objects of closed convex prisms that touch exactly where they meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.capture.meshes import Part
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """An object at rest, before anything is known of its materials.
+
+    hold: (2, 3) box of what is held [m]; pivot: (3,) point that holds turn about [m]; axis: (3,) unit, the
+    long way from the hold to the tip; tip: (3,) material point far from the hold [m]; gravity: (3,) [m/s^2];
+    rest: "stress-free" or "equilibrium"; youngs_modulus [Pa] and density [kg/m^3]: usual values per part.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    hold: np.ndarray
+    pivot: np.ndarray
+    axis: np.ndarray
+    tip: np.ndarray
+    gravity: np.ndarray
+    rest: str
+    youngs_modulus: Mapping[str, float]
+    density: Mapping[str, float]
+
+    @property
+    def volume(self) -> float:
+        """Of all parts together [m^3]."""
+        return sum(part.volume for part in self.parts)
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        return tuple(part.name for part in self.parts)
+
+
+def prism(name: str, outline: np.ndarray, axis: int, low: float, high: float) -> Part:
+    """A convex prism. outline: (K, 2) [m], counter-clockwise in the axes after `axis`; low, high: [m]."""
+    count = len(outline)
+    vertices = np.empty((2 * count, 3))
+    for end, coordinate in enumerate((low, high)):
+        rows = vertices[end * count : (end + 1) * count]
+        rows[:, axis] = coordinate
+        rows[:, (axis + 1) % 3], rows[:, (axis + 2) % 3] = outline.T
+    faces = []
+    for k in range(1, count - 1):
+        faces += [(0, k + 1, k), (count, count + k, count + k + 1)]
+    for k in range(count):
+        following = (k + 1) % count
+        faces += [(k, following, count + following), (k, count + following, count + k)]
+    return Part(name, vertices, np.array(faces, dtype=np.int64))
+
+
+def rectangle(width: float, height: float) -> np.ndarray:
+    """(4, 2) corners about the origin [m]."""
+    return 0.5 * np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
+
+
+def polygon(apothem: float, sides: int) -> np.ndarray:
+    """(sides, 2) corners of a regular polygon with sides across the axes; `sides`: a multiple of 4."""
+    angle = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
+    return apothem / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def leaf(root: float, length: float, half_width: float, root_half_width: float, side: int) -> np.ndarray:
+    """(7, 2) outline in x and y of a leaf that starts at x = side * root and points along x [m]."""
+    along = root + length * np.array([0.0, 0.35, 0.75, 1.0, 0.75, 0.35, 0.0])
+    across = np.array(
+        [-root_half_width, -half_width, -0.7 * half_width, 0.0, 0.7 * half_width, half_width, root_half_width]
+    )
+    outline = np.stack([side * along, across], axis=1)
+    return outline if side > 0 else outline[::-1]
+
+
+def bar(*, length: float = 0.09, width: float = 0.018, height: float = 0.02) -> Shape:
+    """A bar along x, held at its lower end."""
+    part = prism("bar", rectangle(width, height), 0, 0.0, length)
+    return _along_x("bar", (part,), length, width, height, {"bar": 1.1e5}, {"bar": 550.0})
+
+
+def two_part_bar(
+    *, length: float = 0.09, width: float = 0.018, height: float = 0.02, split: float = 0.55
+) -> Shape:
+    """A bar along x of two materials, held in the stiffer; split: share of the length where they meet."""
+    middle = split * length
+    parts = (
+        prism("lower", rectangle(width, height), 0, 0.0, middle),
+        prism("upper", rectangle(width, height), 0, middle, length),
+    )
+    return _along_x(
+        "two-part-bar",
+        parts,
+        length,
+        width,
+        height,
+        {"lower": 1.4e5, "upper": 9e4},
+        {"lower": 600.0, "upper": 500.0},
+    )
+
+
+def _along_x(
+    name: str,
+    parts: tuple[Part, ...],
+    length: float,
+    width: float,
+    height: float,
+    youngs_modulus: Mapping[str, float],
+    density: Mapping[str, float],
+) -> Shape:
+    gap = 1e-3
+    return Shape(
+        name=name,
+        parts=parts,
+        hold=np.array(
+            [[-gap, -width / 2 - gap, -height / 2 - gap], [0.08 * length, width / 2 + gap, height / 2 + gap]]
+        ),
+        pivot=np.zeros(3),
+        axis=np.array([1.0, 0.0, 0.0]),
+        tip=np.array([0.97 * length, 0.0, 0.0]),
+        gravity=np.array([0.0, 0.0, -9.81]),
+        rest="stress-free",
+        youngs_modulus=youngs_modulus,
+        density=density,
+    )
+
+
+def flower(
+    *,
+    stem: float = 0.006,
+    height: float = 0.075,
+    head: float = 0.016,
+    head_height: float = 0.014,
+    leaf_length: float = 0.036,
+    leaf_half_width: float = 0.010,
+    leaf_thickness: float = 0.005,
+) -> Shape:
+    """An upright flower on z: stem (apothem `stem`), head, two leaves; its rest shape carries its weight."""
+    flat = stem * np.tan(np.pi / 8.0)  # half a side of the octagon: a leaf's root lies wholly on it
+    parts = [
+        prism("stem", polygon(stem, 8), 2, 0.0, height),
+        prism("head", polygon(head, 8), 2, height, height + head_height),
+    ]
+    for name, side, level in (("leaf1", 1, 0.45 * height), ("leaf2", -1, 0.65 * height)):
+        outline = leaf(stem, leaf_length, leaf_half_width, flat, side)
+        parts.append(prism(name, outline, 2, level, level + leaf_thickness))
+    gap = 1e-3
+    return Shape(
+        name="flower",
+        parts=tuple(parts),
+        hold=np.array([[-2 * stem, -2 * stem, -gap], [2 * stem, 2 * stem, 0.08 * height]]),
+        pivot=np.zeros(3),
+        axis=np.array([0.0, 0.0, 1.0]),
+        tip=np.array([0.0, 0.0, height + 0.9 * head_height]),
+        gravity=np.array([0.0, 0.0, -9.81]),
+        rest="equilibrium",
+        youngs_modulus={"stem": 3.2e5, "head": 6e4, "leaf1": 1.2e5, "leaf2": 9e4},
+        density={"stem": 400.0, "head": 300.0, "leaf1": 300.0, "leaf2": 280.0},
+    )
+
+
+def hanging_flower(*, leaf_length: float = 0.045, leaf_half_width: float = 0.014, **sizes: float) -> Shape:
+    """The flower hanging from its hold (gravity points from the hold to the head), with broad leaves."""
+    upright = flower(leaf_length=leaf_length, leaf_half_width=leaf_half_width, **sizes)
+    values = {**upright.__dict__, "name": "hanging-flower", "gravity": -upright.gravity}
+    return Shape(**values)
+
+
+SHAPES: Mapping[str, Callable[..., Shape]] = {
+    "bar": bar,
+    "two-part-bar": two_part_bar,
+    "flower": flower,
+    "hanging-flower": hanging_flower,
+}
+
+
+def shape(name: str, **sizes: float) -> Shape:
+    """The object called `name`; sizes [m]. Raises ValueError for names that there are not."""
+    if name not in SHAPES:
+        raise ValueError(f"object '{name}': expected one of {', '.join(SHAPES)}")
+    try:
+        return SHAPES[name](**sizes)
+    except TypeError as error:
+        raise ValueError(f"object '{name}': {error}") from error

@@ -1,0 +1,116 @@
+"""The true motion of a recipe's object, on a finer grid than a fit's, causes outside the list included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mphygs.capture.format import Capture
+from mphygs.capture.record import Sequence as Recording
+from mphygs.fit.start import starting_belief
+from mphygs.model.belief import Belief
+from mphygs.simulate.body import Attachment, Body
+from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.synth.causes import CAUSES, Material
+from mphygs.synth.hidden import Hidden
+from mphygs.synth.recipe import Recipe
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Markers in all frames: position (T, M, 3) [m], velocity (T, M, 3) [m/s]; substeps: number computed."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    attachment: Attachment
+    substeps: int
+
+
+def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> Belief:
+    """The model with the true materials and the hidden effects that the registry names."""
+    belief = starting_belief(capture)
+    for name, material in recipe.materials.items():
+        for quantity in ("youngs_modulus", "density", "poissons_ratio"):
+            belief = belief.with_parameter(f"{name}.{quantity}", value=getattr(material, quantity))
+    for thing in hidden:
+        if thing.kind == "effect":
+            belief = belief.with_effect(thing.name, thing.values, thing.settings)
+    return replace(belief, known_mass=None)
+
+
+def simulate(
+    capture: Capture, recording: Recording, recipe: Recipe, hidden: Sequence[Hidden], spacing: float
+) -> Motion:
+    """True motion of the markers of one recording under what is hidden (faults aside).
+
+    spacing: of the grid [m]. Raises SimulationError where the motion cannot be computed.
+    """
+    belief = true_belief(capture, recipe, hidden)
+    causes = [thing for thing in hidden if thing.kind == "cause"]
+    settings = Settings(spacing=spacing, workers=1)
+    predictor = _CausedPredictor(capture, recording, settings, causes)
+    prediction = predictor.predict(belief)
+    return Motion(prediction.position, prediction.velocity, predictor.attachment, prediction.substeps)
+
+
+class _CausedPredictor(Predictor):
+    """A predictor whose runs feel causes that no belief can name."""
+
+    def __init__(
+        self, capture: Capture, recording: Recording, settings: Settings, causes: Sequence[Hidden]
+    ) -> None:
+        super().__init__(capture, recording, settings)
+        self._causes = tuple(causes)
+
+    def _hook(
+        self, belief: Belief, fields: dict, simulated: Sequence = (), changes: Sequence = ()
+    ) -> object | None:
+        if not self._causes:
+            return super()._hook(belief, fields, simulated, changes)
+        return CauseForces(self._causes, self.body, fields["mass"])
+
+
+class CauseForces:
+    """The hook of a rollout that adds the forces and stresses of causes, evaluated in every substep.
+
+    mass: (B, 8) [kg] of the body's quadrature points.
+    """
+
+    def __init__(self, causes: Sequence[Hidden], body: Body, mass: np.ndarray) -> None:
+        self._reference = body.quadrature.points.reshape(-1, 3)
+        self._volume, self._mass = body.quadrature.volumes.ravel(), np.asarray(mass, float).ravel()
+        part = body.point_part.ravel()
+        everywhere = np.ones(len(part), bool)
+        self._causes = [
+            (
+                c,
+                part == body.part_names.index(str(c.settings["part"]))
+                if "part" in c.settings
+                else everywhere,
+            )
+            for c in causes
+        ]
+
+    def forward(
+        self,
+        first_direction: int,
+        time: float,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        deformation: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Force (L, Q, 3) [N] and first Piola-Kirchhoff stress (L, Q, 3, 3) [Pa].
+
+        Only the value lane is filled: the further lanes, of derivatives, are asked for when the stable
+        substep is sought, and there causes as weak as these do not matter.
+        """
+        force, stress = np.zeros(position.shape), np.zeros(deformation.shape)
+        state = [np.asarray(a[0], float) for a in (position, velocity, deformation)]
+        for thing, inside in self._causes:
+            material = Material(self._reference, *state, self._mass, self._volume, inside, time)
+            more_force, more_stress = CAUSES[thing.name].function(material, thing.values)
+            force[0] += more_force
+            stress[0] += more_stress
+        return force, stress

@@ -1,0 +1,32 @@
+"""Every effect, fault and cause that can be hidden changes the data."""
+
+import numpy as np
+import pytest
+from synth_example import SIGMA, made, tracks
+
+from mphygs.model.registry import effects
+from mphygs.synth.hidden import names
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Tracks of the object with nothing hidden in it."""
+    _, capture = made(tmp_path_factory.mktemp("plain"), "two-part-bar", measure_signal=False)
+    return tracks(capture)
+
+
+def test_everything_of_the_registry_can_be_hidden() -> None:
+    assert set(effects()) - {"prestress"} <= set(names())
+    assert {"cubic_drag", "point_field", "actuation"} <= set(names())
+
+
+@pytest.mark.parametrize("name", names())
+def test_what_is_hidden_changes_the_data(name, plain, tmp_path) -> None:
+    result, capture = made(tmp_path, "two-part-bar", (name,))
+    # The noise has the same seed and falls out of the difference.
+    difference = np.nan_to_num(tracks(capture) - plain)
+    assert np.abs(difference).max() > 0.5 * SIGMA
+    assert np.isfinite(difference).all()
+    hidden = result.answer["hidden"][0]
+    assert hidden.removeprefix("unknown:") == name
+    assert hidden.startswith("unknown:") == (name not in effects())
