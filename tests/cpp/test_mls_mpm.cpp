@@ -55,6 +55,41 @@ TEST(MlsMpm, AdjointIsTheTransposeOfTheTangent) {
                                                                     "displacement0", "velocity0", "node_force", "pose"});
 }
 
+/// Without known forces and effects, tiles of free particles take the hot path.
+TEST(MlsMpm, AdjointOfTheHotPath) {
+    for (const bool hold : {false, true}) {
+        auto c = mls_case<double>({4, 5, 9}, {6, 7}, hold);
+        c.fields.node_force.clear();
+        compare_derivatives(c, {"mu", "lambda", "stress_volume", "mass", "deformation0", "gravity", "displacement0", "velocity0"});
+    }
+}
+
+/// An effect at its null goes the general way, a tangent node by node: both must agree with the hot path.
+template <class T>
+void compare_paths(double tolerance) {
+    auto c = mls_case<T>({4, 5, 9}, {20}, true);
+    c.fields.node_force.clear();
+    const auto hot = c.model().simulate(c.fields, c.schedule);
+    const auto tangent = c.model().tangent(c.fields, {Fields<T>{}}, c.schedule)[0];
+    c.settings.active[test::effect_index("gravity")] = true;
+    c.fields.effect.assign(c.fields.effect.size(), T{});
+    const auto general = c.model().simulate(c.fields, c.schedule);
+    EXPECT_NE(hot.position, std::vector<T>(hot.position.size()));
+    for (std::size_t i = 0; i < hot.position.size(); ++i) {
+        EXPECT_NEAR(hot.position[i], general.position[i], tolerance * 0.01);
+        EXPECT_NEAR(hot.position[i], tangent.position[i], tolerance * 0.01);
+        EXPECT_NEAR(hot.velocity[i], general.velocity[i], tolerance);
+        EXPECT_NEAR(hot.velocity[i], tangent.velocity[i], tolerance);
+    }
+    for (std::size_t i = 0; i < hot.deformation.size(); ++i) {
+        EXPECT_NEAR(hot.deformation[i], tangent.deformation[i], tolerance);
+    }
+}
+TEST(MlsMpm, AllPathsAgree) {
+    compare_paths<double>(1e-12);
+    compare_paths<float>(3e-5);
+}
+
 TEST(MlsMpm, AdjointOfTheCorotatedLaw) {
     auto c = mls_case<double>({3, 4, 5}, {4, 3}, false);
     c.settings.law = Law::fixed_corotated;

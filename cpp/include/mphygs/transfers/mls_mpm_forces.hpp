@@ -16,6 +16,28 @@ struct ParticlePoint {
 };
 
 template <class T, int K>
+inline ParticlePoint<PackScalar<T, K>> load_moving(const T* moving, std::size_t size, std::size_t p) {
+    ParticlePoint<PackScalar<T, K>> r;
+    for (int l = 0; l <= K; ++l) {
+        const T* from = moving + static_cast<std::size_t>(l) * moving_numbers * size + slot_of(0, moving_numbers, p);
+        for (std::size_t k = 0; k < moving_numbers; ++k) {
+            auto& to = k < 3 ? r.x[static_cast<int>(k)] : r.f.e[(k - 3) / 3][(k - 3) % 3];
+            lane_of(to, l) = load<T>(from + group_size * k);
+        }
+    }
+    return r;
+}
+template <class T, int K>
+inline void store_moving(T* moving, std::size_t size, std::size_t p, const ParticlePoint<PackScalar<T, K>>& point) {
+    for (int l = 0; l <= K; ++l) {
+        T* to = moving + static_cast<std::size_t>(l) * moving_numbers * size + slot_of(0, moving_numbers, p);
+        for (std::size_t k = 0; k < moving_numbers; ++k) {
+            store<T>(to + group_size * k, lane_of(k < 3 ? point.x[static_cast<int>(k)] : point.f.e[(k - 3) / 3][(k - 3) % 3], l));
+        }
+    }
+}
+
+template <class T, int K>
 class MlsForces {
   public:
     using S = PackScalar<T, K>;
@@ -48,13 +70,31 @@ class MlsForces {
                 lane_of(uniforms_[i], l) = broadcast<T>(lane_of(plain_uniforms_[i], l));
             }
         }
+        holds_.clear();
+        for (std::size_t h = 0; h < static_cast<std::size_t>(model_.geometry_.hold_count); ++h) {
+            holds_.push_back(hold_motion(h));
+        }
     }
+
+    /// Neo-Hookean particles that only gravity acts on: the hot path has them to itself.
+    bool plain() const {
+        const ActiveSites& a = model_.sites_;
+        return model_.settings_.law == Law::neo_hookean && !a.volume && !a.body && !a.surface && inputs_.primal->node_force.empty();
+    }
+    bool plain_tile(const MlsOrder<T>& order, std::size_t first) const {
+        bool good = true;
+        for (std::size_t b = first / lane_count; b < (first + tile_size) / lane_count; ++b) {
+            good &= !order.held[b] && !(model_.sites_.point && order.placed[b]);
+        }
+        return good;
+    }
+    T gravity(int c) const { return lane_of(gravity_[c], 0)[0]; }
 
     /// Momentum q and affine part A = m C - dt V (4/h^2) tau of the eight particles from `first`.
     /// history: (lanes, numbers, size), moved on by one substep.
     void evaluate(const MlsOrder<T>& order, std::size_t first, const ParticlePoint<S>& p, T* history, Vec3<S>& momentum,
                   Mat3<S>& affine) const {
-        const S mass = column(order, order.mass, first);
+        const S mass = fixed(order, fixed_mass, first);
         VolumePoint<S> point = volume_point(order, first, p);
         Vec3<S> force = known_force(order, first);
         if (model_.sites_.volume) {
@@ -68,7 +108,7 @@ class MlsForces {
                 }
             }
             if (model_.sites_.body_volume) {
-                force = force + column(order, order.own_mass, first) * point.acceleration;
+                force = force + own_mass(order, first) * point.acceleration;
             }
         } else {
             point.stress = elastic_stress(point.law, point.deformation, point.mu, point.lambda);
@@ -101,13 +141,20 @@ class MlsForces {
         for (int c = 0; c < 3; ++c) {
             momentum[c] = mass * velocity[c] + dt_ * force[c];
         }
-        affine = mass * p.c - (stress_scale() * column(order, order.volume, first)) * (point.stress * transpose(p.f));
+        affine = mass * p.c - (stress_scale() * fixed(order, fixed_volume, first)) * (point.stress * transpose(p.f));
     }
 
-    S column(const MlsOrder<T>& order, const Column<T>& values, std::size_t first) const {
+    S fixed(const MlsOrder<T>& order, Fixed number, std::size_t first) const {
         S s{};
         for (int l = 0; l <= K; ++l) {
-            lane_of(s, l) = load<T>(&values[static_cast<std::size_t>(l) * order.size + first]);
+            lane_of(s, l) = load<T>(&order.fixed[static_cast<std::size_t>(l) * fixed_numbers * order.size + slot_of(number, fixed_numbers, first)]);
+        }
+        return s;
+    }
+    S own_mass(const MlsOrder<T>& order, std::size_t first) const {
+        S s{};
+        for (int l = 0; l <= K; ++l) {
+            lane_of(s, l) = load<T>(&order.own_mass[static_cast<std::size_t>(l) * order.size + first]);
         }
         return s;
     }
@@ -128,8 +175,8 @@ class MlsForces {
         if (model_.sites_.rate) {
             point.rate = p.c * p.f;
         }
-        point.mu = column(order, order.mu, first);
-        point.lambda = column(order, order.lambda, first);
+        point.mu = fixed(order, fixed_mu, first);
+        point.lambda = fixed(order, fixed_lambda, first);
         point.law = model_.settings_.law;
         point.time = time_;
         point.dt = dt_;
@@ -221,19 +268,36 @@ class MlsForces {
     }
     T relaxation() const { return static_cast<T>(1.0 / model_.settings_.hold_relaxation) / dt_; }
 
+    /// What the velocity of a hold's particles is made of at this substep: the rows of the motion
+    /// until the next one, and of the place now, counted from the anchor.
+    struct HoldMotion {
+        U moved[3][4], place[3][4];
+    };
+    HoldMotion hold_motion(std::size_t hold) const {
+        HoldMotion m;
+        const std::size_t now = pose_index(hold, n_), next = pose_index(hold, n_ + 1);
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < 4; ++k) {
+                const std::size_t at = k < 3 ? 3 * c + k : 9 + c;
+                m.place[c][k] = inputs_.plain(&Fields<T>::pose, now + at);
+                m.moved[c][k] = (inputs_.plain(&Fields<T>::pose, next + at) - m.place[c][k]) / dt_;
+            }
+            m.place[c][3] = m.place[c][3] - static_cast<T>(model_.anchor_[c]);
+        }
+        return m;
+    }
+
     /// v = (x_n+1 - x_n)/dt + (x_n - x)/(kappa dt), x_n the particle's place under the hold's motion.
     U held_velocity(std::size_t hold, std::size_t id, int c, const U& x) const {
-        const std::size_t now = pose_index(hold, n_), next = pose_index(hold, n_ + 1), row = static_cast<std::size_t>(c);
         const double* rest = &model_.geometry_.points[3 * id];
-        const auto pose = [&](std::size_t at) { return inputs_.plain(&Fields<T>::pose, at); };
-        U place = pose(now + 9 + row) - static_cast<T>(model_.anchor_[row]);
-        U moved = pose(next + 9 + row) - pose(now + 9 + row);
-        for (std::size_t k = 0; k < 3; ++k) {
-            const U r = pose(now + 3 * row + k);
-            place += r * static_cast<T>(rest[k]);
-            moved += (pose(next + 3 * row + k) - r) * static_cast<T>(rest[k]);
+        const U* moved = holds_[hold].moved[c];
+        const U* place = holds_[hold].place[c];
+        U now = place[3] - x, velocity = moved[3];
+        for (int k = 0; k < 3; ++k) {
+            now += place[k] * static_cast<T>(rest[k]);
+            velocity += moved[k] * static_cast<T>(rest[k]);
         }
-        return moved / dt_ + (place - x) * relaxation();
+        return velocity + now * relaxation();
     }
 
     const MlsMpm<T>& model_;
@@ -242,6 +306,7 @@ class MlsForces {
     std::vector<U> parameters_, plain_uniforms_;
     std::vector<S> uniforms_;
     Vec3<S> gravity_;
+    std::vector<HoldMotion> holds_;
     int n_ = 0;
     std::size_t frame_ = 0;
     T time_ = 0, dt_ = 0;

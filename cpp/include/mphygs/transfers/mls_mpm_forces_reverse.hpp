@@ -16,8 +16,10 @@ struct MlsChunkSums {
 /// Bars of the fixed numbers of the particles, in the order of the particles.
 template <class T>
 struct MlsParticleBars {
-    std::vector<T> mu, lambda, volume, mass, own_mass;
-    explicit MlsParticleBars(std::size_t n) : mu(n), lambda(n), volume(n), mass(n), own_mass(n) {}
+    std::vector<T> fixed;     // (groups, Fixed, 16)
+    std::vector<T> own_mass;  // (size,)
+    explicit MlsParticleBars(std::size_t n) : fixed(fixed_numbers * n), own_mass(n) {}
+    T* at(Fixed number, std::size_t p) { return &fixed[slot_of(number, fixed_numbers, p)]; }
 };
 
 /// Bars of a substep's results for eight particles.
@@ -43,7 +45,7 @@ class MlsForcesReverse {
                  const GivenBars<T>& given, T* history_bar, ParticlePoint<P>& bar, MlsParticleBars<T>& particles,
                  MlsChunkSums& sums) {
         const MlsMpm<T>& model = forces_.model_;
-        const P mass = forces_.column(order, order.mass, first);
+        const P mass = forces_.fixed(order, fixed_mass, first);
         const Vec3<P> force_bar = broadcast<T>(forces_.dt_) * given.momentum;
         P mass_bar = given.mass + inner(given.affine, point.c);
         bar.c = bar.c + mass * given.affine;
@@ -78,7 +80,7 @@ class MlsForcesReverse {
         if (model.sites_.point && order.placed[first / lane_count]) {
             forces_.each_place(order, first, [&](int lane, std::size_t place) { reverse_place(place, lane, point, force_bar, bar); });
         }
-        add(&particles.mass[first], mass_bar);
+        add(particles.at(fixed_mass, first), mass_bar);
         reverse_volume(order, first, point, history, given, force_bar, history_bar, bar, particles, sums);
     }
 
@@ -254,7 +256,7 @@ class MlsForcesReverse {
                         MlsParticleBars<T>& particles, MlsChunkSums& sums) const {
         const MlsMpm<T>& model = forces_.model_;
         const VolumePoint<P> value = forces_.volume_point(order, first, point);
-        const P volume = forces_.column(order, order.volume, first);
+        const P volume = forces_.fixed(order, fixed_volume, first);
         const T k = forces_.stress_scale();
         const Mat3<P> tau_bar = (-k * volume) * given.affine;
         const Mat3<P> stress_bar = tau_bar * point.f;
@@ -305,7 +307,7 @@ class MlsForcesReverse {
                 seed(after[i], load<T>(history_bar + i * order.size + first));
             }
             if (model.sites_.body_volume) {
-                const P own = forces_.column(order, order.own_mass, first);
+                const P own = forces_.own_mass(order, first);
                 P own_bar{};
                 for (int c = 0; c < 3; ++c) {
                     seed(p.acceleration[c], own * force_bar[c]);
@@ -328,9 +330,9 @@ class MlsForcesReverse {
             add_uniforms(uniforms, sums);
         }
         bar.f = bar.f + deformation_bar + transpose(tau_bar) * stress;
-        add(&particles.mu[first], mu_bar);
-        add(&particles.lambda[first], lambda_bar);
-        add(&particles.volume[first], -k * inner(given.affine, stress * transpose(point.f)));
+        add(particles.at(fixed_mu, first), mu_bar);
+        add(particles.at(fixed_lambda, first), lambda_bar);
+        add(particles.at(fixed_volume, first), -k * inner(given.affine, stress * transpose(point.f)));
     }
 };
 

@@ -7,7 +7,7 @@
 
 #include "mphygs/checkpoint.hpp"
 #include "mphygs/transfers/mls_mpm_forces_reverse.hpp"
-#include "mphygs/transfers/mls_mpm_rows_reverse.hpp"
+#include "mphygs/transfers/mls_mpm_plain_reverse.hpp"
 #include "mphygs/transfers/mls_mpm_run.hpp"
 
 namespace mphygs {
@@ -24,8 +24,7 @@ class MlsMpmReverse {
           forces_(run_.forces_, fields), particles_(model.padded_), sums_(static_cast<std::size_t>(model.chunk_count_)),
           grids_(model.chunk_count_, 1) {
         const std::size_t n = model.padded_, count = model.particle_count();
-        x_bar_.assign(3 * n, T{});
-        f_bar_.assign(9 * n, T{});
+        bars_.assign(moving_numbers * n, T{});
         history_bar_.assign(run_.state_.history.size(), T{});
         for (auto* total : {&mu_, &lambda_, &volume_, &mass_, &own_mass_}) {
             total->assign(count, 0.0);
@@ -41,7 +40,7 @@ class MlsMpmReverse {
         keep_frame(0);
         run_.begin();
         bar_order_ = run_.state_.order;
-        const std::size_t particles = (run_.state_.x.size() + run_.state_.f.size() + run_.state_.history.size()) * sizeof(T);
+        const std::size_t particles = (run_.state_.moving.size() + run_.state_.history.size()) * sizeof(T);
         const std::size_t bytes = particles + run_.state_.grid.size() * 2 * sizeof(T);  // a box may grow
         const auto forward = [&](int n) {
             run_.step(n);
@@ -154,28 +153,27 @@ class MlsMpmReverse {
         for (std::size_t p = 0; p < n; ++p) {
             from[p] = place[static_cast<std::size_t>(order->id[p])];
         }
-        Run::permute_columns(x_bar_, from);
-        Run::permute_columns(f_bar_, from);
+        Run::permute_moving(bars_, from);
         Run::permute_columns(history_bar_, from);
         bar_order_ = order;
     }
     /// Sums over thousands of substeps are kept in double.
     void flush() {
         const std::size_t count = model_.particle_count();
-        const auto move = [&](std::vector<T>& from, std::vector<double>& to) {
-            for (std::size_t p = 0; p < from.size(); ++p) {
-                const std::size_t i = static_cast<std::size_t>(bar_order_->id[p]);
+        for (std::size_t p = 0; p < bar_order_->size; ++p) {
+            const std::size_t i = static_cast<std::size_t>(bar_order_->id[p]);
+            const auto move = [&](T& from, std::vector<double>& to) {
                 if (i < count) {
-                    to[i] += static_cast<double>(from[p]);
+                    to[i] += static_cast<double>(from);
                 }
-                from[p] = T{};
-            }
-        };
-        move(particles_.mu, mu_);
-        move(particles_.lambda, lambda_);
-        move(particles_.volume, volume_);
-        move(particles_.mass, mass_);
-        move(particles_.own_mass, own_mass_);
+                from = T{};
+            };
+            move(*particles_.at(fixed_mu, p), mu_);
+            move(*particles_.at(fixed_lambda, p), lambda_);
+            move(*particles_.at(fixed_volume, p), volume_);
+            move(*particles_.at(fixed_mass, p), mass_);
+            move(particles_.own_mass[p], own_mass_);
+        }
     }
 
     void reverse_step(int n, const MlsState<T>& record) {
@@ -239,7 +237,7 @@ class MlsMpmReverse {
     void reverse_given(std::size_t c, std::size_t t, const MlsOrder<T>& order, const ParticlePoint<P>* points, const T* history,
                        ParticlePoint<P>* bars) {
         const CellRange limits = inside(bar_box_, bar_ranges_[c]);
-        SeenRange<T> ignored;
+        SeenRange<Pack<T>> ignored;
         MlsTile<T, 0> tile, given;
         for (int k = 0; k < tile_packs; ++k) {
             const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
@@ -249,7 +247,7 @@ class MlsMpmReverse {
             run_.forces_.evaluate(order, p, points[k], run_.state_.history.data(), momentum, affine);
             tile.set_q(k, momentum);
             tile.set_n(k, broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * affine);
-            tile.set_mass(k, run_.forces_.column(order, order.mass, p));
+            tile.set_mass(k, run_.forces_.fixed(order, fixed_mass, p));
         }
         TileSlope<T> slope;
         reverse_scatter_rows<T>(tile, bar_grid_.data(), model_.axis_, bar_box_, given, slope);
@@ -268,13 +266,29 @@ class MlsMpmReverse {
         const T h = static_cast<T>(table_.dt[static_cast<std::size_t>(n)]);
         const CellRange limits = inside(record.box, record.ranges[c]);
         const std::size_t size = record.order->size;
-        SeenRange<T> ignored;
+        SeenRange<Pack<T>> ignored;
         MlsTile<T, 0> tile;
+        PlainTile<T> plain;
+        Wide<T> gravity_bar[3] = {};
+        const PlainPass<T> pass = run_.plain_pass(h, forces, false);
+        const bool hot = forces && run_.forces_.plain() && !table_.is_frame(n + 1);
         for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
+            if (hot && run_.forces_.plain_tile(*record.order, t)) {
+                run_.stand_tile(plain.took, record, t, limits);
+                gather_rows<T>(plain.took, record.grid.data(), model_.axis_, record.box);
+                plain_given<T>(plain, record.moving.data(), t, pass, *record.order, model_.axis_, bar_box_, inside(bar_box_, bar_ranges_[c]));
+                reverse_scatter_rows<T>(plain.given, bar_grid_.data(), model_.axis_, bar_box_, plain.bars, plain.slope);
+                plain_bars<T>(plain, record.moving.data(), bars_.data(), particles_.fixed.data(), t, pass, *record.order, model_.axis_,
+                              gravity_bar);
+                reverse_gather_rows<T>(plain.took, plain.velocity, record.grid.data(), grids_.private_grid(c), model_.axis_, record.box,
+                                       plain.slope);
+                plain_slope<T>(plain.slope, bars_.data(), t, run_.inverse_spacing_, model_.axis_);
+                continue;
+            }
             ParticlePoint<P> points[tile_packs], bars[tile_packs];
             Mat3<P> before[tile_packs];
             for (int k = 0; k < tile_packs; ++k) {
-                points[k] = load_particles(record.x, record.f, size, t + static_cast<std::size_t>(k * lane_count));
+                points[k] = load_moving<T, 0>(record.moving.data(), size, t + static_cast<std::size_t>(k * lane_count));
                 locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
             }
             gather_tile<T, 0>(tile, record.grid.data(), 0, model_.axis_, record.box);
@@ -287,7 +301,7 @@ class MlsMpmReverse {
                 before[k] = points[k].f;
                 points[k].x = points[k].x + broadcast<T>(h) * points[k].v;
                 points[k].f = points[k].f + broadcast<T>(h) * (points[k].c * points[k].f);
-                bars[k] = load_particles(x_bar_, f_bar_, size, p);
+                bars[k] = load_moving<T, 0>(bars_.data(), size, p);
                 if (table_.is_frame(n + 1)) {
                     add_seeds(table_.frame_of_state(n + 1), *record.order, p, bars[k]);
                 }
@@ -308,7 +322,12 @@ class MlsMpmReverse {
             reverse_gather_rows<T>(tile, velocity, record.grid.data(), grids_.private_grid(c), model_.axis_, record.box, slope);
             for (int k = 0; k < tile_packs; ++k) {
                 add_slope(slope, k, bars[k].x);
-                store_particles(bars[k], size, t + static_cast<std::size_t>(k * lane_count));
+                store_moving<T, 0>(bars_.data(), size, t + static_cast<std::size_t>(k * lane_count), bars[k]);
+            }
+        }
+        for (std::size_t a = 0; a < 3; ++a) {
+            for (int q = 0; q < MlsVector<T>::wide_count; ++q) {
+                sums_[c].gravity[a] += static_cast<double>(pass.next_dt * gravity_bar[a][q]);
             }
         }
     }
@@ -350,7 +369,7 @@ class MlsMpmReverse {
         add_sums(0);
         for (int round = Run::start_rounds - 1; round >= 0; --round) {
             // C of the next round was gathered from this grid ...
-            const MlsState<T> here{record.order, {}, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
+            const MlsState<T> here{record.order, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
             grids_.prepare(record.box, record.ranges);
             start_tiles(record, [&](std::size_t c, std::size_t, MlsTile<T, 0>& tile, ParticlePoint<P>*, ParticlePoint<P>* bars) {
                 gather_tile<T, 0>(tile, here.grid.data(), 0, model_.axis_, record.box);
@@ -386,7 +405,7 @@ class MlsMpmReverse {
                     const P mass_bar = given.get_mass(k) + dot(momentum_bar, points[k].v) + inner(affine_bar, points[k].c);
                     bars[k].v = bars[k].v + mass * momentum_bar;
                     bars[k].c = bars[k].c + mass * affine_bar;
-                    T* to = &particles_.mass[t + static_cast<std::size_t>(k * lane_count)];
+                    T* to = particles_.at(fixed_mass, t + static_cast<std::size_t>(k * lane_count));
                     store<T>(to, load<T>(to) + mass_bar);
                 }
             });
@@ -399,7 +418,7 @@ class MlsMpmReverse {
         const std::size_t size = record.order->size;
         for (std::size_t c = 0; c < record.ranges.size(); ++c) {
             const CellRange limits = inside(record.box, record.ranges[c]);
-            SeenRange<T> ignored;
+            SeenRange<Pack<T>> ignored;
             MlsTile<T, 0> tile;
             for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
                 ParticlePoint<P> points[tile_packs], bars[tile_packs];
@@ -407,7 +426,7 @@ class MlsMpmReverse {
                     const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
                     points[k] = run_.load_start(p);
                     locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
-                    bars[k] = load_particles(x_bar_, f_bar_, size, p);
+                    bars[k] = load_moving<T, 0>(bars_.data(), size, p);
                     for (std::size_t a = 0; a < 3; ++a) {
                         bars[k].v[static_cast<int>(a)] = load<T>(&v_bar_[a * size + p]);
                     }
@@ -418,7 +437,7 @@ class MlsMpmReverse {
                 f(c, t, tile, points, bars);
                 for (int k = 0; k < tile_packs; ++k) {
                     const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                    store_particles(bars[k], size, p);
+                    store_moving<T, 0>(bars_.data(), size, p, bars[k]);
                     for (std::size_t a = 0; a < 3; ++a) {
                         store<T>(&v_bar_[a * size + p], bars[k].v[static_cast<int>(a)]);
                     }
@@ -455,25 +474,6 @@ class MlsMpmReverse {
         forces_.reverse_uniforms(uniform, parameter_bar_);
     }
 
-    ParticlePoint<P> load_particles(const std::vector<T>& x, const std::vector<T>& f, std::size_t size, std::size_t p) const {
-        ParticlePoint<P> r;
-        for (std::size_t c = 0; c < 3; ++c) {
-            r.x[static_cast<int>(c)] = load<T>(&x[c * size + p]);
-        }
-        for (std::size_t k = 0; k < 9; ++k) {
-            r.f.e[k / 3][k % 3] = load<T>(&f[k * size + p]);
-        }
-        return r;
-    }
-    void store_particles(const ParticlePoint<P>& bar, std::size_t size, std::size_t p) {
-        for (std::size_t c = 0; c < 3; ++c) {
-            store<T>(&x_bar_[c * size + p], bar.x[static_cast<int>(c)]);
-        }
-        for (std::size_t k = 0; k < 9; ++k) {
-            store<T>(&f_bar_[k * size + p], bar.f.e[k / 3][k % 3]);
-        }
-    }
-
     Fields<T> collect() {
         flush();
         const std::size_t count = model_.particle_count(), size = model_.padded_;
@@ -482,7 +482,7 @@ class MlsMpmReverse {
             for (std::size_t p = 0; p < size; p += lane_count) {
                 ParticlePoint<P> bar{};
                 add_seeds(0, *bar_order_, p, bar);
-                store_particles(bar, size, p);
+                store_moving<T, 0>(bars_.data(), size, p, bar);
                 for (std::size_t c = 0; c < 3; ++c) {
                     store<T>(&v_bar_[c * size + p], bar.v[static_cast<int>(c)]);
                 }
@@ -512,11 +512,11 @@ class MlsMpmReverse {
             const std::size_t i = static_cast<std::size_t>(bar_order_->id[p]);
             // Padding stands on the last particle but gives nothing: its bars are zero.
             for (std::size_t c = 0; i < count && c < 3; ++c) {
-                out.displacement0[3 * i + c] = x_bar_[c * size + p];
+                out.displacement0[3 * i + c] = bars_[slot_of(c, moving_numbers, p)];
                 out.velocity0[3 * i + c] = v_bar_[c * size + p];
             }
             for (std::size_t k = 0; i < count && k < 9; ++k) {
-                out.deformation0[9 * i + k] = f_bar_[k * size + p];
+                out.deformation0[9 * i + k] = bars_[slot_of(3 + k, moving_numbers, p)];
             }
         }
         out.node_force = forces_.node_force_bar;
@@ -536,7 +536,8 @@ class MlsMpmReverse {
     bool keep_ = false;
     int kept_ = 0;
     std::shared_ptr<const MlsOrder<T>> bar_order_;
-    std::vector<T> x_bar_, f_bar_, v_bar_, c_bar_, history_bar_;  // components, size
+    std::vector<T> bars_;                            // of what moves, laid out like it
+    std::vector<T> v_bar_, c_bar_, history_bar_;  // (numbers, size)
     std::vector<T> bar_grid_;  // bars of {px, py, pz, m} at the state above
     Box bar_box_;
     std::vector<CellRange> bar_ranges_;

@@ -12,7 +12,7 @@
 #include "mphygs/parallel.hpp"
 #include "mphygs/transfers/mls_mpm_forces.hpp"
 #include "mphygs/transfers/mls_mpm_grids.hpp"
-#include "mphygs/transfers/mls_mpm_rows.hpp"
+#include "mphygs/transfers/mls_mpm_plain.hpp"
 
 namespace mphygs {
 
@@ -105,14 +105,14 @@ class MlsMpmRun {
                 continue;
             }
             for (std::size_t c = 0; c < 3; ++c) {
-                position[3 * i + c] = state_.x[(3 * lane + c) * n + p];
+                position[3 * i + c] = state_.moving[lane * moving_numbers * n + slot_of(c, moving_numbers, p)];
                 if (l == 0) {
                     position[3 * i + c] = static_cast<T>(static_cast<double>(position[3 * i + c]) + model_.anchor_[c]);
                 }
                 velocity[3 * i + c] = velocity_[(3 * lane + c) * n + p];
             }
             for (std::size_t k = 0; k < 9; ++k) {
-                deformation[9 * i + k] = state_.f[(9 * lane + k) * n + p];
+                deformation[9 * i + k] = state_.moving[lane * moving_numbers * n + slot_of(3 + k, moving_numbers, p)];
             }
         }
     }
@@ -132,7 +132,7 @@ class MlsMpmRun {
         std::vector<T> history = state_.history;
         for (std::size_t c = 0; c < state_.ranges.size(); ++c) {
             const CellRange inside = limits(c, box, 0);
-            SeenRange<T> seen;
+            SeenRange<Pack<T>> seen;
             MlsTile<T, K> tile;
             for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
                 ParticlePoint<S> points[tile_packs];
@@ -182,8 +182,7 @@ class MlsMpmRun {
         const MlsGeometry& g = model_.geometry_;
         const std::size_t n = size(), count = model_.particle_count();
         std::vector<std::int32_t> ids(n);
-        state_.x.assign(lanes * 3 * n, T{});
-        state_.f.assign(lanes * 9 * n, T{});
+        state_.moving.assign(lanes * moving_numbers * n, T{});
         state_.history.assign(lanes * static_cast<std::size_t>(model_.sites_.history) * n, T{});
         velocity_.assign(lanes * 3 * n, T{});
         for (std::size_t p = 0; p < n; ++p) {
@@ -192,7 +191,7 @@ class MlsMpmRun {
             for (int l = 0; l < lanes; ++l) {
                 const std::size_t lane = static_cast<std::size_t>(l);
                 for (std::size_t c = 0; c < 3; ++c) {
-                    T& x = state_.x[(3 * lane + c) * n + p];
+                    T& x = state_.moving[lane * moving_numbers * n + slot_of(c, moving_numbers, p)];
                     x = lane_of(inputs_.plain(&Fields<T>::displacement0, 3 * i + c), l);
                     if (l == 0) {
                         x += static_cast<T>(g.points[3 * i + c] - model_.anchor_[c]);
@@ -200,7 +199,7 @@ class MlsMpmRun {
                     velocity_[(3 * lane + c) * n + p] = lane_of(inputs_.plain(&Fields<T>::velocity0, 3 * i + c), l);
                 }
                 for (std::size_t k = 0; k < 9; ++k) {
-                    T& f = state_.f[(9 * lane + k) * n + p];
+                    T& f = state_.moving[lane * moving_numbers * n + slot_of(3 + k, moving_numbers, p)];
                     if (!inputs_.primal->deformation0.empty() && p < count) {
                         f = lane_of(inputs_.plain(&Fields<T>::deformation0, 9 * i + k), l);
                     } else {
@@ -222,9 +221,8 @@ class MlsMpmRun {
         CellRange all;
         for (std::size_t c = 0; c < 3; ++c) {
             node[c].resize(n);
-            const T* x = &state_.x[static_cast<std::size_t>(model_.axis_[c]) * n];
             for (std::size_t p = 0; p < n; p += lane_count) {
-                const P scaled = load<T>(x + p) * inverse_spacing_;
+                const P scaled = load<T>(&state_.moving[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, p)]) * inverse_spacing_;
                 const PackMask<T> index = __builtin_convertvector(nearest(scaled), PackMask<T>);
                 for (int q = 0; q < lane_count; ++q) {
                     node[c][p + static_cast<std::size_t>(q)] = static_cast<std::int32_t>(index[q]);
@@ -277,10 +275,22 @@ class MlsMpmRun {
         if (!moved) {
             return;
         }
-        for (std::vector<T>* columns : {&state_.x, &state_.f, &state_.history, &velocity_}) {
-            permute_columns(*columns, from);
-        }
+        permute_moving(state_.moving, from);
+        permute_columns(state_.history, from);
+        permute_columns(velocity_, from);
         state_.order = std::make_shared<MlsOrder<T>>(model_, inputs_, std::move(ids));
+    }
+    static void permute_moving(std::vector<T>& moving, const std::vector<std::int32_t>& from) {
+        std::vector<T> next(moving.size());
+        for (std::size_t start = 0; start < moving.size(); start += moving_numbers * from.size()) {
+            for (std::size_t p = 0; p < from.size(); ++p) {
+                for (std::size_t k = 0; k < moving_numbers; ++k) {
+                    next[start + slot_of(k, moving_numbers, p)] =
+                        moving[start + slot_of(k, moving_numbers, static_cast<std::size_t>(from[p]))];
+                }
+            }
+        }
+        moving = std::move(next);
     }
     static void permute_columns(std::vector<T>& columns, const std::vector<std::int32_t>& from) {
         std::vector<T> next(columns.size());
@@ -333,20 +343,7 @@ class MlsMpmRun {
         return r;
     }
 
-    ParticlePoint<S> load_particles(std::size_t p) const {
-        ParticlePoint<S> r;
-        const std::size_t n = size();
-        for (int l = 0; l < lanes; ++l) {
-            const std::size_t lane = static_cast<std::size_t>(l);
-            for (std::size_t c = 0; c < 3; ++c) {
-                lane_of(r.x[static_cast<int>(c)], l) = load<T>(&state_.x[(3 * lane + c) * n + p]);
-            }
-            for (std::size_t k = 0; k < 9; ++k) {
-                lane_of(r.f.e[k / 3][k % 3], l) = load<T>(&state_.f[(9 * lane + k) * n + p]);
-            }
-        }
-        return r;
-    }
+    ParticlePoint<S> load_particles(std::size_t p) const { return load_moving<T, K>(state_.moving.data(), size(), p); }
 
     /// C = 4/h^2 sum w v (x_i - x)^T from the moment in cell units.
     Mat3<S> affine_velocity(const Mat3<S>& moment) const {
@@ -359,7 +356,7 @@ class MlsMpmRun {
         forces_.evaluate(*state_.order, p, point, history, momentum, affine);
         tile.set_q(pack, momentum);
         tile.set_n(pack, constant<S>(static_cast<T>(model_.geometry_.spacing)) * affine);
-        tile.set_mass(pack, forces_.column(*state_.order, state_.order->mass, p));
+        tile.set_mass(pack, forces_.fixed(*state_.order, fixed_mass, p));
     }
 
     ParticlePoint<S> load_start(std::size_t p) const {
@@ -379,7 +376,7 @@ class MlsMpmRun {
 
     void start_chunk(std::size_t c, const Box& box, bool improve, bool real) {
         const CellRange inside = limits(c, box, 0);
-        SeenRange<T> seen;
+        SeenRange<Pack<T>> seen;
         MlsTile<T, K> tile;
         const std::size_t n = size();
         for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
@@ -411,20 +408,52 @@ class MlsMpmRun {
         }
     }
     void give_velocity(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point) const {
-        const S mass = forces_.column(*state_.order, state_.order->mass, p);
+        const S mass = forces_.fixed(*state_.order, fixed_mass, p);
         tile.set_mass(pack, mass);
         tile.set_q(pack, mass * point.v);
         tile.set_n(pack, (static_cast<T>(model_.geometry_.spacing) * mass) * point.c);
     }
 
+    PlainPass<T> plain_pass(T h, bool forces, bool output) {
+        return {state_.moving.data(), output ? velocity_.data() : nullptr, size(), inverse_spacing_, h, forces, forces_.dt(),
+                {forces_.gravity(0), forces_.gravity(1), forces_.gravity(2)}};
+    }
+    /// Stands a tile where its particles are; they are known to be inside.
+    void stand_tile(MlsTile<T, 0>& tile, const MlsState<T>& state, std::size_t first, const CellRange& inside) const {
+        using W = Wide<T>;
+        SeenRange<W> ignored;
+        for (std::size_t k = 0; k < tile_size; k += MlsVector<T>::wide_count) {
+            W scaled[3];
+            for (std::size_t c = 0; c < 3; ++c) {
+                scaled[c] = read<W>(&state.moving[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, first + k)]) * inverse_spacing_;
+            }
+            stand<W, T>(scaled, static_cast<int>(k), tile.s[0], tile.corner, state.box, inside, ignored);
+        }
+    }
+
     void advance_chunk(std::size_t c, T h, const Box& next, bool forces, bool output, CellRange& range) {
-        SeenRange<T> seen;
+        SeenRange<Pack<T>> seen;
         const CellRange now = limits(c, state_.box, 0), then = limits(c, next, 1);
-        SeenRange<T> ignored;
+        SeenRange<Pack<T>> ignored;
         MlsTile<T, K> tile;
         T* out = forces ? grids_.private_grid(c) : nullptr;
         const std::size_t n = size();
+        SeenRange<Wide<T>> seen_wide;
+        const bool plain = K == 0 && forces_.plain();
         for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
+            if constexpr (K == 0) {
+                if (plain && forces_.plain_tile(*state_.order, t)) {
+                    stand_tile(tile, state_, t, now);
+                    gather_rows<T>(tile, state_.grid.data(), model_.axis_, state_.box);
+                    const PlainPass<T> pass = plain_pass(h, forces, output);
+                    const long failed = mphygs::plain_tile<T>(tile, t, pass, *state_.order, model_.axis_, next, then, seen_wide);
+                    failed_[c] = failed_[c] < 0 ? failed : failed_[c];
+                    if (forces) {
+                        scatter_rows<T>(tile, out, model_.axis_, next);
+                    }
+                    continue;
+                }
+            }
             ParticlePoint<S> points[tile_packs];
             for (int k = 0; k < tile_packs; ++k) {
                 points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count));
@@ -440,16 +469,10 @@ class MlsMpmRun {
                     point.x[a] = point.x[a] + h * point.v[a];
                 }
                 point.f = point.f + constant<S>(h) * (point.c * point.f);
-                for (int l = 0; l < lanes; ++l) {
-                    const std::size_t lane = static_cast<std::size_t>(l);
+                store_moving<T, K>(state_.moving.data(), n, p, point);
+                for (int l = 0; output && l < lanes; ++l) {
                     for (std::size_t a = 0; a < 3; ++a) {
-                        store<T>(&state_.x[(3 * lane + a) * n + p], lane_of(point.x[static_cast<int>(a)], l));
-                        if (output) {
-                            store<T>(&velocity_[(3 * lane + a) * n + p], lane_of(point.v[static_cast<int>(a)], l));
-                        }
-                    }
-                    for (std::size_t a = 0; a < 9; ++a) {
-                        store<T>(&state_.f[(9 * lane + a) * n + p], lane_of(point.f.e[a / 3][a % 3], l));
+                        store<T>(&velocity_[(3 * static_cast<std::size_t>(l) + a) * n + p], lane_of(point.v[static_cast<int>(a)], l));
                     }
                 }
                 const PackMask<T> bad = locate(tile, k, point.x, inverse_spacing_, model_.axis_, next, then, seen);
@@ -469,6 +492,7 @@ class MlsMpmRun {
             }
         }
         range = seen.range();
+        range.cover(seen_wide.range());
     }
 
     [[noreturn]] void stop(std::size_t p, int frame, double time, const std::string& cause) const {
@@ -490,7 +514,7 @@ class MlsMpmRun {
             }
             for (std::size_t p = static_cast<std::size_t>(f) / lane_count * lane_count; p < size(); ++p) {
                 for (std::size_t c = 0; c < 3; ++c) {
-                    if (!std::isfinite(state_.x[c * size() + p])) {
+                    if (!std::isfinite(state_.moving[slot_of(c, moving_numbers, p)])) {
                         stop(p, table_.frame[static_cast<std::size_t>(n)] + 1, table_.time[static_cast<std::size_t>(n)],
                              "a position is not finite");
                     }
@@ -509,10 +533,10 @@ class MlsMpmRun {
             for (int l = 0; l < lanes; ++l) {
                 const std::size_t lane = static_cast<std::size_t>(l);
                 for (std::size_t c = 0; c < 3; ++c) {
-                    good &= std::isfinite(state_.x[(3 * lane + c) * n + p]) && std::isfinite(velocity_[(3 * lane + c) * n + p]);
+                    good &= std::isfinite(velocity_[(3 * lane + c) * n + p]);
                 }
-                for (std::size_t k = 0; k < 9; ++k) {
-                    good &= std::isfinite(state_.f[(9 * lane + k) * n + p]);
+                for (std::size_t k = 0; k < moving_numbers; ++k) {
+                    good &= std::isfinite(state_.moving[lane * moving_numbers * n + slot_of(k, moving_numbers, p)]);
                 }
             }
             if (!good) {
@@ -521,7 +545,7 @@ class MlsMpmRun {
             const std::size_t i = static_cast<std::size_t>(state_.order->id[p]);
             for (std::size_t c = 0; i < model_.particle_count() && c < 3; ++c) {
                 const T rest = static_cast<T>(model_.geometry_.points[3 * i + c] - model_.anchor_[c]);
-                if (!(std::abs(state_.x[c * n + p] - rest) < limit)) {
+                if (!(std::abs(state_.moving[slot_of(c, moving_numbers, p)] - rest) < limit)) {
                     stop(p, frame, time, "a displacement is above the limit");
                 }
             }

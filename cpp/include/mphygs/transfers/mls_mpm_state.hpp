@@ -30,9 +30,14 @@ struct CellRange {
     }
 };
 
-/// One number per particle, with its derivatives behind it.
-template <class T>
-using Column = std::vector<T>;
+/// Particles lie in groups of sixteen, the numbers of a group together: one stream of memory.
+inline constexpr std::size_t group_size = 16;
+inline std::size_t slot_of(std::size_t number, std::size_t numbers, std::size_t particle) {
+    return (particle / group_size * numbers + number) * group_size + particle % group_size;
+}
+inline constexpr std::size_t moving_numbers = 12;  // x, then F row by row
+inline constexpr std::size_t fixed_numbers = 4;
+enum Fixed : std::size_t { fixed_mu, fixed_lambda, fixed_volume, fixed_mass };
 
 /// Particles in the order of their cells, with everything that does not move. `size` counts the
 /// padding: particles without mass and volume.
@@ -41,9 +46,9 @@ struct MlsOrder {
     std::size_t size = 0;
     int lanes = 1;
     std::vector<std::int32_t> id;                // the caller's number, >= N: padding
-    Column<T> mu, lambda, volume, mass;          // (lanes, size); mass with the attached one
-    Column<T> own_mass;                          // without it, where a volume effect has a body force
-    Column<T> area;                              // (size,)
+    std::vector<T> fixed;                        // (lanes, groups, Fixed, 16); mass with the attached one
+    std::vector<T> own_mass;                     // (lanes, size) without it, where a volume effect has a body force
+    std::vector<T> area;                         // (size,)
     std::vector<std::int32_t> hold;              // (size,)
     std::vector<std::int32_t> place_next;        // (size,) first place of a particle, -1: none
     std::vector<unsigned char> held, exposed, placed;  // of each block of eight
@@ -59,26 +64,29 @@ MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::v
     const MlsGeometry& g = model.geometry_;
     const std::size_t count = g.particle_count();
     const std::size_t all = static_cast<std::size_t>(lanes) * size;
-    for (Column<T>* c : {&mu, &lambda, &volume, &mass}) {
-        c->assign(all, T{});
-    }
+    fixed.assign(fixed_numbers * all, T{});
     for (int l = 0; l < lanes; ++l) {
         const Fields<T>* f = l == 0 ? inputs.primal : inputs.direction[l - 1];
-        const std::size_t from = static_cast<std::size_t>(l) * size;
-        const auto fill = [&](Column<T>& to, const std::vector<T>* values, T pad) {
+        const std::size_t from = static_cast<std::size_t>(l) * fixed_numbers * size;
+        const auto fill = [&](Fixed number, const std::vector<T>* values, T pad) {
             for (std::size_t p = 0; p < size; ++p) {
                 const std::size_t i = static_cast<std::size_t>(id[p]);
-                to[from + p] = i >= count ? pad : (values && !values->empty() ? (*values)[i] : T{});
+                fixed[from + slot_of(number, fixed_numbers, p)] = i >= count ? pad : (values && !values->empty() ? (*values)[i] : T{});
             }
         };
         const T unit = l == 0 ? T(1) : T(0);
-        fill(mu, f ? &f->mu : nullptr, unit);
-        fill(lambda, f ? &f->lambda : nullptr, unit);
-        fill(volume, f ? &f->stress_volume : nullptr, T{});
-        fill(mass, f ? &f->mass : nullptr, T{});
+        fill(fixed_mu, f ? &f->mu : nullptr, unit);
+        fill(fixed_lambda, f ? &f->lambda : nullptr, unit);
+        fill(fixed_volume, f ? &f->stress_volume : nullptr, T{});
+        fill(fixed_mass, f ? &f->mass : nullptr, T{});
     }
     if (model.sites_.body_volume) {
-        own_mass = mass;
+        own_mass.resize(all);
+        for (std::size_t p = 0; p < size; ++p) {
+            for (std::size_t l = 0; l < static_cast<std::size_t>(lanes); ++l) {
+                own_mass[l * size + p] = fixed[l * fixed_numbers * size + slot_of(fixed_mass, fixed_numbers, p)];
+            }
+        }
     }
     hold.assign(size, -1);
     place_next.assign(size, -1);
@@ -110,7 +118,8 @@ MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::v
             for (std::size_t q = 0; q < g.place_count(); ++q) {
                 if (model.place_particle_[q] == id[p]) {
                     for (int l = 0; l < lanes; ++l) {
-                        mass[static_cast<std::size_t>(l) * size + p] += lane_of(inputs.plain(&Fields<T>::place_mass, q), l);
+                        fixed[static_cast<std::size_t>(l) * fixed_numbers * size + slot_of(fixed_mass, fixed_numbers, p)] +=
+                            lane_of(inputs.plain(&Fields<T>::place_mass, q), l);
                     }
                 }
             }
@@ -123,8 +132,7 @@ MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::v
 template <class T>
 struct MlsState {
     std::shared_ptr<const MlsOrder<T>> order;
-    std::vector<T> x;        // (lanes, 3, size) from the anchor [m]
-    std::vector<T> f;        // (lanes, 9, size)
+    std::vector<T> moving;   // (lanes, groups, 12, 16): x from the anchor [m], F
     std::vector<T> history;  // (lanes, numbers, size)
     std::vector<T> grid;     // (lanes, nodes, 4)
     Box box;

@@ -5,6 +5,9 @@
 // n = sum w_i V_i (i - s)^T, i in {-1, 0, 1}^3. Columns of n are coordinates, not memory axes.
 #pragma once
 
+#include <cstring>
+#include <type_traits>
+
 #include "mphygs/kernel.hpp"
 #include "mphygs/transfers/mls_mpm_state.hpp"
 
@@ -67,24 +70,36 @@ struct MlsTile {
     }
 };
 
+/// Vectors of eight or more lanes: what belongs to a vector type.
+template <class V>
+struct VectorOf {
+    using T = std::remove_cvref_t<decltype(V{}[0])>;
+    static constexpr int count = sizeof(V) / sizeof(T);
+    using mask = decltype(V{} < V{});
+    using narrow __attribute__((vector_size(count * sizeof(std::int32_t)))) = std::int32_t;
+};
+
 /// Nearest whole number; the magic number makes the addition round.
-inline Pack<float> nearest(Pack<float> x) { return (x + 12582912.0f) - 12582912.0f; }
-inline Pack<double> nearest(Pack<double> x) { return (x + 6755399441055744.0) - 6755399441055744.0; }
+template <class V>
+inline V nearest(V x) {
+    constexpr typename VectorOf<V>::T magic = sizeof(typename VectorOf<V>::T) == 4 ? 12582912.0 : 6755399441055744.0;
+    return (x + magic) - magic;
+}
 
 /// Smallest and largest nearest node so far, lane by lane.
-template <class T>
+template <class V>
 struct SeenRange {
-    Pack<T> low[3], high[3];
+    V low[3], high[3];
     SeenRange() {
         for (int c = 0; c < 3; ++c) {
-            low[c] = broadcast<T>(T(1 << 29));
+            low[c] = V{} + (1 << 29);
             high[c] = -low[c];
         }
     }
     CellRange range() const {
         CellRange r;
         for (std::size_t c = 0; c < 3; ++c) {
-            for (int q = 0; q < lane_count; ++q) {
+            for (int q = 0; q < VectorOf<V>::count; ++q) {
                 r.low[c] = std::min(r.low[c], static_cast<int>(low[c][q]));
                 r.high[c] = std::max(r.high[c], static_cast<int>(high[c][q]));
             }
@@ -93,34 +108,45 @@ struct SeenRange {
     }
 };
 
-/// Stands a pack of particles on a box. Returns a mask of those that are not finite or outside the
-/// limits (nearest nodes by memory axis); such a particle is put inside, so that memory is safe.
-template <class T, int K>
-inline PackMask<T> locate(MlsTile<T, K>& tile, int pack, const Vec3<PackScalar<T, K>>& x, T inverse_spacing,
-                          const std::array<int, 3>& axis, const Box& box, const CellRange& limits, SeenRange<T>& seen) {
-    PackMask<T> corner{}, bad{};
-    const int at = pack * lane_count;
+/// Stands the particles of one vector, from `at` on, on a box. x: by memory axis, in spacings.
+/// Returns a mask of those that are not finite or outside the limits (nearest nodes by memory
+/// axis); such a particle is put inside, so that memory is safe.
+template <class V, class T>
+inline typename VectorOf<V>::mask stand(const V (&x)[3], int at, T (*s)[tile_size], std::int32_t* corners, const Box& box,
+                                        const CellRange& limits, SeenRange<V>& seen) {
+    using M = typename VectorOf<V>::mask;
+    M corner{}, bad{};
     for (std::size_t c = 0; c < 3; ++c) {
-        const PackScalar<T, K>& coordinate = x[axis[c]];
-        const Pack<T> scaled = lane_of(coordinate, 0) * inverse_spacing;
-        const Pack<T> wanted = nearest(scaled);
-        const Pack<T> low = broadcast<T>(static_cast<T>(limits.low[c]));
-        const Pack<T> high = broadcast<T>(static_cast<T>(limits.high[c]));
-        const Pack<T> above = wanted >= low ? wanted : low;  // low for what is no number
-        const Pack<T> node = above <= high ? above : high;
+        const V wanted = nearest(x[c]);
+        const V low = V{} + static_cast<T>(limits.low[c]);
+        const V high = V{} + static_cast<T>(limits.high[c]);
+        const V above = wanted >= low ? wanted : low;  // low for what is no number
+        const V node = above <= high ? above : high;
         bad |= ~(node == wanted);
-        store<T>(&tile.s[0][c][at], scaled - node);
-        for (int l = 1; l <= K; ++l) {
-            store<T>(&tile.s[l][c][at], lane_of(coordinate, l) * inverse_spacing);
-        }
+        const V distance = x[c] - node;
+        std::memcpy(&s[c][at], &distance, sizeof distance);
         seen.low[c] = seen.low[c] < node ? seen.low[c] : node;
         seen.high[c] = seen.high[c] > node ? seen.high[c] : node;
-        corner = corner * box.count[c] + (__builtin_convertvector(node, PackMask<T>) - 1 - box.low[c]);
+        corner = corner * box.count[c] + (__builtin_convertvector(node, M) - 1 - box.low[c]);
     }
-    using Narrow __attribute__((vector_size(32))) = std::int32_t;
-    const Narrow corners = __builtin_convertvector(corner, Narrow);
-    std::memcpy(&tile.corner[at], &corners, sizeof corners);
+    const auto narrow = __builtin_convertvector(corner, typename VectorOf<V>::narrow);
+    std::memcpy(corners + at, &narrow, sizeof narrow);
     return bad;
+}
+
+/// The same for a pack, with its directions.
+template <class T, int K>
+inline PackMask<T> locate(MlsTile<T, K>& tile, int pack, const Vec3<PackScalar<T, K>>& x, T inverse_spacing,
+                          const std::array<int, 3>& axis, const Box& box, const CellRange& limits, SeenRange<Pack<T>>& seen) {
+    const int at = pack * lane_count;
+    Pack<T> scaled[3];
+    for (std::size_t c = 0; c < 3; ++c) {
+        scaled[c] = lane_of(x[axis[c]], 0) * inverse_spacing;
+        for (int l = 1; l <= K; ++l) {
+            store<T>(&tile.s[l][c][at], lane_of(x[axis[c]], l) * inverse_spacing);
+        }
+    }
+    return stand<Pack<T>, T>(scaled, at, tile.s[0], tile.corner, box, limits, seen);
 }
 template <class M>
 inline bool any(const M& mask) {
