@@ -21,7 +21,7 @@ from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.run import Run, digest_of, is_run, load_run
 from mphygs.fit.schedule import default_spacing
 from mphygs.fit.start import starting_belief
-from mphygs.fit.tables import errors_text, parameters_document, parameters_text
+from mphygs.fit.tables import errors_text, parameters_of, parameters_text
 from mphygs.model.registry import effects
 from mphygs.simulate.prediction import Settings
 
@@ -104,7 +104,7 @@ def _answer(state: Run, experiment: Experiment, console: Console) -> dict[str, o
     problem = experiment.problem(spacing)
     return {
         "run": str(state.folder),
-        "parameters": parameters_document(state),
+        "parameters": parameters_of(state),
         "seconds": sum(stage.seconds for stage in state.history),
         "substeps": problem.evaluate(state.belief, jacobian=False).substeps,
         "substep": substep,

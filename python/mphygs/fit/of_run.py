@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from mphygs.capture.format import Capture, load_capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import sequence_errors
+from mphygs.compare.noise import observe
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import Run, digest_of
 from mphygs.fit.start import starting_belief
@@ -35,7 +38,10 @@ def experiment_of(
     """
     settings = run.settings if workers is None else replace(run.settings, workers=workers)
     if other is None:
-        return Experiment(capture_of(run), settings, dict(run.ranges)), run.belief
+        experiment = Experiment(capture_of(run), settings, dict(run.ranges))
+        for name, left_out in run.left_out.items():
+            _leave_out(experiment, name, np.array(left_out))
+        return experiment, run.belief
     capture = load_capture(other)
     parts = tuple(part.name for part in capture.parts)
     if parts != run.belief.parts:
@@ -48,6 +54,15 @@ def experiment_of(
     belief = replace(run.belief, parameters=(*kept, *(replace(p, free=False) for p in fresh)))
     # The other capture's measured fields hold: gravity may be stated in another frame.
     return Experiment(capture, settings, {}), replace(belief, gravity=capture.gravity)
+
+
+def _leave_out(experiment: Experiment, name: str, entries: np.ndarray) -> None:
+    """Take single measurements out of a sequence. entries: (K, 2) frame and marker."""
+    predictor = experiment.predictor(name, experiment.settings.spacing)
+    observation = observe(predictor.recording, predictor.attachment)
+    position = observation.position.copy()
+    position[entries[:, 0], entries[:, 1]] = np.nan
+    experiment.observations[name] = replace(observation, position=position)
 
 
 def chosen_names(experiment: Experiment, wanted: Sequence[str]) -> list[str]:

@@ -45,7 +45,8 @@ class Run:
     digest: of its content; settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
     covariance: (P, P) of the free coordinates, information: (P, P) what the measurements alone say of them,
     both None until the fit is complete; history: stages done;
-    start: the belief that the fit began with; answer: JSON of the command, once complete.
+    start: the belief that the fit began with; left_out:
+    (frame, marker) by sequence of measurements taken as outliers; answer: JSON of the command, once complete.
     """
 
     folder: Path
@@ -62,6 +63,7 @@ class Run:
     covariance: np.ndarray | None = None
     information: np.ndarray | None = None
     history: tuple[StageRecord, ...] = ()
+    left_out: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     answer: Mapping[str, object] | None = None
 
     @property
@@ -111,6 +113,7 @@ class Run:
             "start": document_of_belief(self.start),
             "belief": document_of_belief(self.belief),
             "history": [asdict(record) for record in self.history],
+            "left_out": plain_value(self.left_out),
             "answer": plain_value(self.answer),
         }
 
@@ -202,6 +205,7 @@ def load_run(path: str | Path) -> Run:
             start=belief_from_document(document["start"]),
             belief=belief,
             history=tuple(StageRecord(**{**r, "costs": tuple(r["costs"])}) for r in document["history"]),
+            left_out={n: tuple((int(f), int(m)) for f, m in e) for n, e in document["left_out"].items()},
             answer=document["answer"],
         )
         complete = bool(document["complete"])

@@ -4,22 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from mphygs.fit.determined import determinations
 from mphygs.fit.run import Run
+from mphygs.model.belief import Belief
 
 
-def parameters_document(run: Run) -> dict[str, dict[str, object]]:
-    """Key -> value, std, unit, whether the data determine it, and a note where there is something to say.
-
-    Raises ValueError for a run that is not complete.
-    """
+def parameters_of(run: Run) -> dict[str, dict[str, object]]:
+    """Fitted parameters of a run. Raises ValueError for one that is not complete."""
     if run.covariance is None or run.information is None:
         raise ValueError(
             f"{run.folder}: is not complete; expected a finished run (fit --out {run.folder} --resume)"
         )
-    known = determinations(run.belief.free, run.information, run.covariance)
+    return parameters_document(run.belief, run.information, run.covariance)
+
+
+def parameters_document(
+    belief: Belief, information: np.ndarray, covariance: np.ndarray
+) -> dict[str, dict[str, object]]:
+    """Key -> value, std, unit, whether the data determine it, and a note where there is something to say.
+
+    information: (P, P) of the measurements, covariance: (P, P), of the free coordinates.
+    """
+    known = determinations(belief.free, information, covariance)
     out = {}
-    for parameter in run.belief.free:
+    for parameter in belief.free:
         found = known[parameter.key]
         entry = {
             "value": parameter.value,

@@ -1,0 +1,45 @@
+"""`mphygs COMMAND`: one name for all commands; each is a module of its own as well."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+from mphygs.command import AT_FAULT, DONE
+
+COMMANDS = {
+    "fit": ("mphygs.fit.__main__", "fit materials, and the effects named, to a capture"),
+    "predict": ("mphygs.predict", "simulate a fitted model on any sequence of the same object"),
+    "compare": ("mphygs.compare.__main__", "prediction beside measurement: how far, where and when"),
+    "diagnose": ("mphygs.diagnose.__main__", "which physical effect is missing, if any"),
+    "extend": ("mphygs.extend.__main__", "add effects, refit, show before and after"),
+    "discover": ("mphygs.discover", "fit, compare, diagnose, extend, until the error is explained"),
+    "report": ("mphygs.report.__main__", "one self-contained HTML file"),
+    "view": ("mphygs.view", "a live 3D viewer in the browser"),
+    "synth": ("mphygs.synth.__main__", "a capture with known truth"),
+}
+
+
+def usage() -> str:
+    """What can be called."""
+    lines = [f"  {name.ljust(10)}{summary}" for name, (_, summary) in COMMANDS.items()]
+    return "\n".join(["usage: mphygs COMMAND [OPTIONS]    (mphygs COMMAND --help shows them)", "", *lines])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command that is named first; returns its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments and arguments[0] in ("-h", "--help"):
+        sys.stdout.write(usage() + "\n")
+        return DONE
+    if not arguments or arguments[0] not in COMMANDS:
+        given = f"unknown command '{arguments[0]}'" if arguments else "no command"
+        sys.stderr.write(f"mphygs: {given}; expected one of {', '.join(COMMANDS)}\n")
+        return AT_FAULT
+    module = importlib.import_module(COMMANDS[arguments[0]][0])
+    return module.main(arguments[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

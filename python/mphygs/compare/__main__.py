@@ -1,0 +1,126 @@
+"""`mphygs compare RUN`: prediction beside measurement."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mphygs.command import Answer, CommonOptions, Console, names, plain, run
+from mphygs.compare.assess import Assessment, Compared
+from mphygs.compare.pictures import save_figure, sequence_figure
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.of_run import chosen_names, errors_of, experiment_of
+from mphygs.fit.run import load_run
+from mphygs.fit.tables import errors_text, parameters_of, table
+
+PROGRAM = "mphygs compare"
+DOCUMENT = "comparison.json"
+# Lines of the text for people; the JSON has them all.
+SHOWN = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions(CommonOptions):
+    """Prediction beside measurement: how far, where, when, and whether more than noise."""
+
+    run: tyro.conf.Positional[Path]
+    """Run folder."""
+    capture: Path | None = None
+    """Another capture of the same object; default: the one that was fitted."""
+    sequences: Annotated[str | None, tyro.conf.arg(metavar="A,B")] = None
+    """Sequences to compare; default: all with frames to fit or to predict."""
+    out: Path | None = None
+    """Folder for the pictures; default: RUN/pictures."""
+    workers: int | None = None
+    """Simulations side by side; default: one a core. Changes no number."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    return run(CompareOptions, compare, program=PROGRAM, argv=argv)
+
+
+def compare(options: CompareOptions, console: Console) -> Answer:
+    """Predict, hold against the measurement, draw; the finding is kept in the run folder."""
+    state = load_run(options.run)
+    parameters_of(state)  # complete, or an error
+    experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
+    wanted = chosen_names(experiment, names(options.sequences))
+    compared = experiment.compare(
+        belief, state.settings.spacing, names=wanted, refine=True, report=console.say
+    )
+    assessment = experiment.assess(compared)
+    document = comparison_document(experiment, compared, assessment)
+    folder = options.out or state.folder / "pictures"
+    pictures = draw(experiment, compared, folder)
+    document["pictures"] = [str(path) for path in pictures]
+    if options.capture is None and options.sequences is None:
+        (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
+    return Answer(document, _text(document))
+
+
+def comparison_document(
+    experiment: Experiment, compared: Mapping[str, Compared], assessment: Assessment
+) -> dict[str, object]:
+    """The JSON of a comparison."""
+    return {
+        "sequences": errors_of(experiment, compared),
+        "adequate": assessment.adequate,
+        "p_value": assessment.p_value,
+        "where": assessment.where,
+        "when": assessment.when,
+        "budget": assessment.budget,
+    }
+
+
+def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path) -> list[Path]:
+    """One picture per sequence."""
+    paths = []
+    for name, item in compared.items():
+        recording = experiment.capture.sequence(name)
+        parts = [part.name for part in experiment.capture.parts]
+        figure = sequence_figure(
+            item,
+            name=name,
+            fps=recording.fps,
+            at=recording.markers.at,
+            parts=parts,
+            labels=recording.markers.names,
+        )
+        paths.append(folder / f"{name}.png")
+        save_figure(figure, paths[-1])
+    return paths
+
+
+def _text(document: Mapping[str, object]) -> str:
+    lines: list[str] = [errors_text(document["sequences"]), ""]
+    verdict = "no more than noise" if document["adequate"] else "more than noise"
+    p_value = document["p_value"]
+    lines.append(f"The misfit is {verdict} (p = {p_value:.2g}, the discretisation's share allowed for).")
+    budget = document["budget"]
+    shares = ", ".join(f"{name} {1e3 * share:.3f} mm" for name, share in budget.items())
+    lines.append(f"Shares of it, adding in squares: {shares}.")
+    if document["where"]:
+        rows = [["part", "centre mm", "rms mm beyond noise"]]
+        for entry in document["where"][:SHOWN]:
+            center = ", ".join(f"{1e3 * x:.1f}" for x in entry["center"])
+            rows.append([entry["part"], center, f"{1e3 * entry['rms']:.3f}"])
+        lines += ["", table(rows)]
+    if document["when"]:
+        rows = [["sequence", "frames", "rms mm beyond noise"]]
+        for entry in document["when"][:SHOWN]:
+            first, last = entry["frames"]
+            rows.append([entry["sequence"], f"{first} to {last}", f"{1e3 * entry['rms']:.3f}"])
+        lines += ["", table(rows)]
+    lines += ["", *(f"picture: {path}" for path in document["pictures"])]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+"""`mphygs predict RUN`: simulate a fitted model on any sequence of the same object."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from mphygs.capture.format import Capture, Markers
+from mphygs.capture.record import Sequence as Recording
+from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.of_run import errors_of, experiment_of
+from mphygs.fit.run import load_run
+from mphygs.fit.tables import errors_text, parameters_of
+from mphygs.model.belief import Belief
+from mphygs.simulate.prediction import Prediction, Predictor
+
+PROGRAM = "mphygs predict"
+# Points of the surface that are predicted with the markers, to be looked at.
+SURFACE_POINTS = 1500
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictOptions(CommonOptions):
+    """Simulate a fitted model on any sequence of the same object."""
+
+    run: tyro.conf.Positional[Path]
+    """Run folder."""
+    capture: Path | None = None
+    """Another capture of the same object; default: the one that was fitted."""
+    sequences: Annotated[str | None, tyro.conf.arg(metavar="A,B")] = None
+    """Sequences to simulate; default: all."""
+    out: Path | None = None
+    """Folder for the positions; default: RUN/predictions."""
+    workers: int | None = None
+    """Simulations side by side; default: one a core. Changes no number."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    return run(PredictOptions, predict, program=PROGRAM, argv=argv)
+
+
+def predict(options: PredictOptions, console: Console) -> Answer:
+    """Simulate every frame of the sequences; positions of markers and surface go to one .npz each."""
+    state = load_run(options.run)
+    parameters_of(state)  # complete, or an error
+    experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
+    recordings = _chosen(experiment.capture, names(options.sequences))
+    folder = options.out or state.folder / "predictions"
+    folder.mkdir(parents=True, exist_ok=True)
+    spacing = state.settings.spacing
+    found: dict[str, dict[str, object]] = {}
+    for number, recording in enumerate(recordings):
+        console.progress(number / len(recordings), f"predicting {recording.name}")
+        known = experiment.with_release(belief, recording.name, spacing) if recording.markers else belief
+        prediction, markers = predict_points(experiment, known, recording)
+        path = folder / f"{recording.name}.npz"
+        _write(path, prediction, markers, recording)
+        found[recording.name] = {
+            "file": str(path),
+            "frames": recording.frames,
+            "markers": markers,
+            "substeps": prediction.substeps,
+            "substep": prediction.dt,
+        }
+    measured = [r.name for r in recordings if r.name in experiment.compared_names()]
+    compared = experiment.compare(belief, spacing, names=measured, jacobian=False) if measured else {}
+    for name, errors in errors_of(experiment, compared).items():
+        found[name] |= errors
+    lines = [f"{name}: {entry['frames']} frames in {entry['file']}" for name, entry in found.items()]
+    if measured:
+        lines += ["", errors_text({name: found[name] for name in measured})]
+    return Answer({"run": str(state.folder), "sequences": found}, "\n".join(lines))
+
+
+def _chosen(capture: Capture, wanted: Sequence[str]) -> list[Recording]:
+    if not wanted:
+        return list(capture.sequences)
+    try:
+        return [capture.sequence(name) for name in wanted]
+    except KeyError as error:
+        raise OptionError(f"--sequences: {error.args[0]}") from error
+
+
+def surface_points(capture: Capture, count: int) -> np.ndarray:
+    """At most about count vertices of the parts' surfaces, evenly picked, (V, 3) [m]."""
+    vertices = np.concatenate([part.vertices for part in capture.parts])
+    return vertices[:: max(1, -(-len(vertices) // count))]
+
+
+def predict_points(
+    experiment: Experiment, belief: Belief, recording: Recording, *, surface: int = SURFACE_POINTS
+) -> tuple[Prediction, int]:
+    """Every frame of a sequence, for its markers and for points of the surface behind them.
+
+    Returns the prediction and the number of markers. Raises SimulationError where the run is unstable.
+    """
+    own = np.zeros((0, 3)) if recording.markers is None else recording.markers.at
+    at = np.concatenate([own, surface_points(experiment.capture, surface)])
+    unmeasured = Markers(np.full((recording.frames, len(at), 3), np.nan), at, 1.0)
+    body = next((p.body for p in _same_hold(experiment, recording)), None)
+    settings = experiment.settings
+    predictor = Predictor(experiment.capture, replace(recording, markers=unmeasured), settings, body=body)
+    return predictor.predict(belief), len(own)
+
+
+def _same_hold(experiment: Experiment, recording: Recording) -> list[Predictor]:
+    """Simulators of this very sequence that are there already."""
+    problem = experiment.problems.get(experiment.settings.spacing)
+    known = {} if problem is None else problem.predictors
+    return [known[recording.name]] if recording.name in known else []
+
+
+def _write(path: Path, prediction: Prediction, markers: int, recording: Recording) -> None:
+    """times [s], position and velocity of the markers (T, M, 3), surface (T, V, 3), in m and m/s."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        times=prediction.frames / recording.fps,
+        position=prediction.position[:, :markers],
+        velocity=prediction.velocity[:, :markers],
+        surface=prediction.position[:, markers:],
+    )
+    path.write_bytes(buffer.getvalue())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
