@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from synth_example import SIGMA, made, tracks
 
 from mphygs.model.registry import effects
 from mphygs.synth.hidden import names
+from synth_example import SIGMA, made, tracks
 
 
 @pytest.fixture(scope="module")

@@ -69,29 +69,46 @@ class Recipe:
         return tuple(h for h in self.hidden if h.kind == kind)
 
 
-def default_takes(kind: Shape, *, frames: int = 80) -> tuple[Take, ...]:
-    """Two motions for an object, one to fit and one for prediction only."""
-    fit, predict = (0, round(0.625 * frames)), (round(0.625 * frames), frames)
-    if kind.rest == "stress-free":
-        first = (Motion("shift", 0.1, 0.4, by=(0.0, 0.02, 0.01)),)
-        second = (
-            Motion("shake", 0.1, 1.2, by=(0.0, 0.005, 0.003), frequency=3.1, ramp=0.25),
-            Motion("turn", 0.3, 0.8, axis=(1.0, 0.0, 0.0), degrees=25.0),
+def usual_motion(kind: str, lying: bool) -> Motion:
+    """A movement of the hold that shakes an object well; lying: one that stretches across gravity along x.
+
+    Raises ValueError for a kind that there is not.
+    """
+    table = {
+        "shake": Motion("shake", 0.1, 1.9, by=(0.008, 0.005, 0.0), frequency=1.7, ramp=0.25),
+        "rock": Motion("rock", 0.1, 1.9, axis=(0.0, 0.0, 1.0), degrees=30.0, frequency=1.0, ramp=0.25),
+        "shift": Motion("shift", 0.3, 1.0, by=(0.02, 0.0, 0.03)),
+        "turn": Motion("turn", 0.6, 1.3, axis=(0.0, 1.0, 0.0), degrees=5.0),
+    }
+    if lying:
+        table = {
+            "shake": Motion("shake", 0.1, 1.2, by=(0.0, 0.005, 0.003), frequency=3.1, ramp=0.25),
+            "rock": Motion("rock", 0.1, 1.2, axis=(0.0, 1.0, 0.2), degrees=8.0, frequency=2.2, ramp=0.25),
+            "shift": Motion("shift", 0.1, 0.4, by=(0.0, 0.02, 0.01)),
+            "turn": Motion("turn", 0.3, 0.8, axis=(1.0, 0.0, 0.0), degrees=25.0),
+        }
+    if kind not in table:
+        raise ValueError(f"motion '{kind}': expected one of {', '.join(table)}")
+    return table[kind]
+
+
+def default_takes(kind: Shape, *, frames: int = 80, kinds: tuple[str, ...] = ()) -> tuple[Take, ...]:
+    """Two motions for an object, one to fit and one for prediction only.
+
+    kinds: movements of the first, as of `usual_motion`; none: as suits the object. An object that is free of
+    stress at rest is let go at frame 2.
+    """
+    lying = kind.rest == "stress-free"
+    fps, release = (60.0, 2) if lying else (30.0, None)
+    first = kinds or (("shift",) if lying else ("shake", "turn"))
+    second = ("shake", "turn") if lying else ("rock", "shift")
+    split = round(0.625 * frames)
+    return tuple(
+        Take(name, tuple(usual_motion(k, lying) for k in movements), fps, frames, fit, predict, release)
+        for name, movements, fit, predict in (
+            ("a", first, (0, split), (split, frames)),
+            ("b", second, (0, 0), (0, frames)),
         )
-        fps, release = 60.0, 2
-    else:
-        first = (
-            Motion("shake", 0.1, 1.9, by=(0.008, 0.005, 0.0), frequency=1.7, ramp=0.25),
-            Motion("turn", 0.6, 1.3, axis=(0.0, 1.0, 0.0), degrees=5.0),
-        )
-        second = (
-            Motion("rock", 0.1, 1.9, axis=(0.0, 0.0, 1.0), degrees=30.0, frequency=1.0, ramp=0.25),
-            Motion("shift", 0.3, 1.0, by=(0.02, 0.0, 0.03)),
-        )
-        fps, release = 30.0, None
-    return (
-        Take("a", first, fps, frames, fit, predict, release),
-        Take("b", second, fps, frames, (0, 0), (0, frames), release),
     )
 
 

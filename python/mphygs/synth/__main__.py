@@ -1,0 +1,120 @@
+"""`mphygs synth KIND --hidden a,b --out DIR`: a capture with known truth."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.synth.faults import DEFAULTS as FAULTS
+from mphygs.synth.make import make_capture
+from mphygs.synth.markers import Noise
+from mphygs.synth.recipe import Recipe, default_takes, recipe
+from mphygs.synth.shapes import shape
+
+PROGRAM = "mphygs synth"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SynthOptions(CommonOptions):
+    """Make a capture with known truth: simulated on another grid than a fit's, then measured with noise."""
+
+    kind: tyro.conf.Positional[Literal["bar", "two-part-bar", "flower", "hanging-flower"]]
+    """The object."""
+    out: Path
+    """Folder to write the capture and its answer.json to."""
+    hidden: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Hidden effects, and causes outside the list of effects; each may have numbers: viscosity:eta=80."""
+    fault: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Faults of the measurement, in the same way: time_offset:offset=0.01."""
+    motion: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Movements of the hold in the motion to fit: shake, rock, shift, turn; default: as suits the object."""
+    noise: Literal["white", "correlated", "jitter"] = "white"
+    """White, or half its variance correlated in time, or half of it common to all markers of a frame."""
+    sigma: float = 2e-4
+    """Standard deviation of the noise of one coordinate [m]."""
+    dropout: float = 0.02
+    """Share of the marker positions that are missing."""
+    frames: int = 80
+    """Frames of each motion."""
+    markers: int = 120
+    """Number of markers, half inside the object and half on its surface."""
+    known: Literal["first-density", "densities", "mass"] = "first-density"
+    """What the capture tells of the masses: density of the first part, of all parts, or the whole mass."""
+    spacing_share: float = 0.62
+    """Grid spacing of the truth over the default spacing of a fit."""
+    seed: int = 0
+    """Of materials, marker places and noise."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    return run(SynthOptions, synth, program=PROGRAM, argv=argv)
+
+
+def synth(options: SynthOptions, console: Console) -> Answer:
+    """Make the capture and say what is hidden in it."""
+    made_of = _recipe(options)
+    simulations = len(made_of.takes) * (2 if made_of.hidden else 1)
+    done = 0
+
+    def tell(text: str) -> None:
+        nonlocal done
+        console.progress(done / simulations, text)
+        done += 1
+
+    made = make_capture(made_of, options.out, report=tell)
+    answer = made.answer
+    document = {"capture": str(made.folder), "answer": str(made.folder / "answer.json")}
+    document |= {
+        key: answer[key] for key in ("hidden", "effects", "faults", "parts", "signal_over_noise", "seed")
+    }
+    return Answer(document, _text(options, made_of, answer))
+
+
+def _recipe(options: SynthOptions) -> Recipe:
+    if options.frames < 8:
+        raise OptionError(f"--frames: got {options.frames}; expected 8 or more")
+    if not 0.3 <= options.spacing_share <= 2.0:
+        raise OptionError(f"--spacing-share: got {options.spacing_share}; expected 0.3 to 2")
+    faults, hidden = names(options.fault), names(options.hidden)
+    for text in faults:
+        if text.split(":")[0] not in FAULTS:
+            raise OptionError(f"--fault: unknown fault '{text}'; expected some of {', '.join(FAULTS)}")
+    return recipe(
+        options.kind,
+        hidden=hidden + faults,
+        seed=options.seed,
+        noise=Noise(options.noise, options.sigma, dropout=options.dropout),
+        takes=default_takes(shape(options.kind), frames=options.frames, kinds=names(options.motion)),
+        marker_count=options.markers,
+        spacing_share=options.spacing_share,
+        known=options.known,
+    )
+
+
+def _text(options: SynthOptions, made_of: Recipe, answer: dict) -> str:
+    lines = [f"{made_of.name}: {', '.join(made_of.shape.part_names)}; {len(made_of.takes)} motions"]
+    for thing in made_of.hidden:
+        numbers = ", ".join(f"{k} = {v:g}" for k, v in thing.values.items())
+        lines.append(f"hidden: {thing.name} ({thing.kind}; {numbers})")
+    if answer["signal_over_noise"] is not None:
+        lines.append(f"what is hidden moves the markers by {answer['signal_over_noise']:.1f} sigma")
+    folder = shlex.quote(str(options.out))
+    lines += [
+        "",
+        "next:",
+        f"  mphygs discover {folder}    find what is hidden",
+        f"  less {folder}/answer.json",
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
