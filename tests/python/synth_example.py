@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +22,13 @@ def small(
     fps, release = (60.0, 2) if "bar" in kind else (30.0, None)
     moved = (Motion("shake", 0.05, 0.35, by=(0.004, 0.006, 0.003), frequency=4.0, ramp=0.12),)
     take = Take("a", moved, fps, frames, (0, frames), (0, 0), release)
-    settings: Mapping[str, object] = {
+    settings: dict[str, object] = {
         "spacing_share": 1.4,
         "marker_count": 24,
         "noise": Noise(sigma=SIGMA),
     } | options
+    if settings.pop("noise_free", False):
+        settings["noise"] = Noise(sigma=1e-9, dropout=0.0)
     return recipe(kind, hidden=hidden, seed=seed, takes=(take,), **settings)
 
 

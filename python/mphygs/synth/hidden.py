@@ -123,11 +123,11 @@ def _usual(
     normal = -shape.gravity / np.linalg.norm(shape.gravity) if lying else -across
     beside = min(float((part.vertices @ normal).min()) for part in shape.parts)
     table: dict[str, tuple[dict[str, float], dict[str, object]]] = {
-        "gravity": (vector("delta_g", 0.4 * across), {}),
+        "gravity": (vector("delta_g", 1.0 * across), {}),
         "viscosity": ({"eta": 80.0}, {}),
         "mass_damping": ({"alpha": 1.5}, {}),
         "relaxation": ({"ratio": 0.5, "tau": 0.1}, {}),
-        "air_drag": ({"c_d": 3.0}, {}),
+        "air_drag": ({"c_d": 6.0}, {}),
         "wind": (vector("w", 3.0 * across) | {"c_d": 1.5}, {"at_rest": False}),
         "fibre": ({"k_f": 0.5 * youngs_modulus} | vector("a", shape.axis), {}),
         "stiffening": ({"c_2": 20.0 * youngs_modulus}, {}),
@@ -137,13 +137,13 @@ def _usual(
         "attached_mass": ({"m": 0.1 * mass}, at_tip),
         "hold_compliance": ({"compliance": 5e-3}, {}),
         "tether": ({"k": 0.5} | vector("anchor", tip + 0.02 * across), at_tip | {"at_rest": False}),
-        "eigenstrain": ({"rate": 0.01}, {}),
-        "base_motion": (vector("a", 1.0 * across) | {"f": 2.3}, {}),
+        "eigenstrain": ({"rate": 0.02}, {}),
+        "base_motion": (vector("a", 2.0 * across) | {"f": 2.3}, {}),
         "stiffness_gradient": ({"slope": 0.8 / length}, along_first),
-        "density_gradient": ({"slope": 0.8 / length}, along_first),
-        "cubic_drag": ({"c_3": 25.0}, {"part": shape.part_names[min(1, len(shape.parts) - 1)]}),
+        "density_gradient": ({"slope": 2.4 / length}, along_first),
+        "cubic_drag": ({"c_3": 80.0}, {"part": shape.part_names[min(1, len(shape.parts) - 1)]}),
         "point_field": (
-            {"strength": 2e-3, "core": 0.02} | dict(zip("xyz", tip + 0.05 * across, strict=True)),
+            {"strength": 6e-3, "core": 0.02} | dict(zip("xyz", tip + 0.05 * across, strict=True)),
             {},
         ),
         "actuation": (
