@@ -131,9 +131,9 @@ def _parse(options_type: type[OptionsType], program: str, argv: Sequence[str] | 
     except SystemExit as stop:
         if stop.code in (0, None):
             return DONE
-        # The parser draws its complaint in a box.
         complaint = heard.getvalue().split("For full helptext")[0]
-        words = re.sub(r"[─-╿]+", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
+        # The parser draws its complaint in a box.
+        words = re.sub(r"[─-╿]+|-{3,}", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
         sys.stderr.write(f"{program}: {one_line(words)} (see {program} --help)\n")
         return AT_FAULT
 

@@ -119,7 +119,7 @@ def test_faults_end_in_one_line_and_2(viscous: Path, capture: Path, tmp_path: Pa
         (command.main, [tmp_path], "is not a run"),
         (command.main, [viscous, "--sequences", "none"], 'no sequence "none"'),
         (predict.main, [viscous, "--sequences", "none"], 'no sequence "none"'),
-        (predict.main, [], "run"),
+        (predict.main, [], "Missing"),
     ):
         code, out, err = call(main, *arguments)
         assert (code, out) == (2, ""), err

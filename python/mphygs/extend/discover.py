@@ -126,23 +126,25 @@ def discover(
     *,
     seed: int = 0,
     names: Sequence[str] | None = None,
+    start: Sequence[Step] = (),
     report: Callable[[str], None] | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> Discovery:
     """Find what is missing from a model of a capture.
 
-    belief: the model to start from, not yet fitted; names: effects that may be added (None: all).
+    belief: the model to start from, not yet fitted; names: effects that may be added (None: all);
+    start: steps that are done already, the first model's fit the first of them.
     Raises SimulationError when not even the first model can be simulated.
     """
-    generator = np.random.default_rng(seed)
     say = report or (lambda _text: None)
-    steps = [first_fit(experiment, belief, spacing, report=report)]
+    steps = list(start) or [first_fit(experiment, belief, spacing, report=report)]
     faults: list[str] = []
     rankings: list[Ranking] = []
     warnings: list[str] = []
-    if on_step:
+    if on_step and not start:
         on_step(steps[0])
-    left_out = 0 if steps[0].assessment.adequate else mask_outliers(experiment, steps[0].compared)
+    bad_tracks = len(steps) == 1 and not steps[0].assessment.adequate
+    left_out = mask_outliers(experiment, steps[0].compared) if bad_tracks else 0
     if left_out and (names is None or "marker_outliers" in names):
         say(f"{left_out} measurements do not move with their neighbours: left out as marker_outliers")
         faults.append("marker_outliers")
@@ -154,6 +156,8 @@ def discover(
     base = steps[-1].assessment
     while not explained(base if steps[-1].added else steps[-1].assessment, steps[-1].assessment) or not steps[-1].added:
         current = steps[-1]
+        # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
+        generator = np.random.default_rng((seed, len(steps)))
         if current.assessment.adequate or len(current.belief.terms) >= LARGEST_MODEL:
             break
         share = allowance_of(experiment, spacing, current.belief, current.solution.evaluation)

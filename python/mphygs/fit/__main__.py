@@ -23,6 +23,7 @@ from mphygs.fit.schedule import default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, parameters_of, parameters_text
 from mphygs.model.registry import effects
+from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.prediction import Settings
 
 PROGRAM = "mphygs fit"
@@ -57,6 +58,8 @@ class FitOptions(CommonOptions):
     """Law of elasticity."""
     optimiser: Literal["gauss-newton"] = "gauss-newton"
     """How the misfit is minimised."""
+    plugin: Path | None = None
+    """Python file that registers effects of your own, to be named like the others."""
     seed: int = 0
     """Of everything random that is done with this run."""
     workers: int | None = None
@@ -72,7 +75,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def fit(options: FitOptions, console: Console) -> Answer:
     """Fit, write the run folder, and say what was found and what to run next."""
-    embedded = options.capture is None and not options.resume
+    state, capture = fitted(options, console)
+    return Answer(dict(state.answer), _text(state, capture, options.capture is None and not options.resume))
+
+
+def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
+    """The complete run of these options, and its capture."""
+    if options.plugin is not None:
+        load_plugin(options.plugin)
     if options.resume:
         state = _resumed(options, console)
         capture = capture_of(state)
@@ -91,7 +101,7 @@ def fit(options: FitOptions, console: Console) -> Answer:
     state = fit_run(state, experiment, progress=console.progress)
     state = replace(state, answer=_answer(state, experiment, console))
     state.save()
-    return Answer(dict(state.answer), _text(state, capture, embedded))
+    return state, capture
 
 
 def _answer(state: Run, experiment: Experiment, console: Console) -> dict[str, object]:
@@ -188,6 +198,8 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     for name in names(options.effects):
         belief = with_placed_effect(belief, name, capture, tuple(experiment.fitted))
     given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+    if options.plugin is not None:
+        given["plugin"] = str(options.plugin.resolve())
     state = Run(
         folder=out, options=given, seed=options.seed, capture=path, digest=digest_of(capture),
         settings=settings, transfer=options.transfer, ranges=dict(experiment.fitted),
@@ -242,7 +254,9 @@ def _resumed(options: FitOptions, console: Console) -> Run:
         if key in _FREE_TO_CHANGE or value == default:
             continue
         if key == "capture":
-            same = Path(value).resolve() == Path(state.capture).resolve()
+            same = value.resolve() == state.capture.resolve()
+        elif key == "plugin":
+            same = str(value.resolve()) == stored
         else:
             same = value == stored
         if not same:

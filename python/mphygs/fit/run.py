@@ -18,6 +18,7 @@ from safetensors.numpy import load_file, save
 from mphygs.capture.format import Capture
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
 from mphygs.model.belief import Belief
+from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.prediction import Settings
 
 FORMAT = "mphygs-run/1"
@@ -189,6 +190,9 @@ def load_run(path: str | Path) -> Run:
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise ValueError(f"{where}: format is {found!r}; expected {FORMAT!r}")
+    plugin = document.get("options", {}).get("plugin")
+    if plugin:
+        load_plugin(plugin)
     try:
         belief = belief_from_document(document["belief"])
         run = Run(

@@ -1,0 +1,113 @@
+"""`mphygs diagnose RUN`: which physical effect is missing, if any."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
+from mphygs.diagnose.document import advice, diagnosis_text, ranking_document
+from mphygs.diagnose.rank import Ranking, allowance_of, rank
+from mphygs.extend.discover import Discovery, Step, discover
+from mphygs.extend.steps import step_at
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.of_run import experiment_of
+from mphygs.fit.run import load_run
+from mphygs.fit.tables import parameters_of
+from mphygs.model.registry import effects
+
+PROGRAM = "mphygs diagnose"
+DOCUMENT = "diagnosis.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions(CommonOptions):
+    """Which physical effect, or fault of the measurement, is missing from a fitted model, if any."""
+
+    run: tyro.conf.Positional[Path]
+    """Run folder."""
+    effects: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Candidates; default: every known effect and fault."""
+    workers: int | None = None
+    """Simulations side by side; default: one a core. Changes no number."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    return run(DiagnoseOptions, diagnose, program=PROGRAM, argv=argv)
+
+
+def known_effects(text: str | None) -> tuple[str, ...] | None:
+    """Effects of a comma-separated list, None for none given. Raises OptionError for an unknown one."""
+    wanted = names(text)
+    for name in wanted:
+        if name not in effects():
+            known = ", ".join(sorted(effects()))
+            raise OptionError(f"unknown effect '{name}'; expected some of {known}")
+    return wanted or None
+
+
+def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
+    """Score every candidate, refit with the best of them, judge on unseen frames; RUN stays as it is."""
+    state = load_run(options.run)
+    parameters_of(state)  # complete, or an error
+    candidates = known_effects(options.effects)
+    experiment, belief = experiment_of(state, workers=options.workers)
+    spacing = state.settings.spacing
+    first = step_at(experiment, belief, spacing)
+    found = discover(
+        experiment, belief, spacing, seed=state.seed, names=candidates, start=(first,), report=console.say
+    )
+    if found.rankings:
+        ranking = found.rankings[0]
+    else:
+        ranking = _ranking(experiment, first, spacing, state.seed, candidates, console)
+    document = diagnosis_document(found, ranking, experiment)
+    (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
+    return Answer(document, "\n".join(diagnosis_text(plain(document))))
+
+
+def _ranking(
+    experiment: Experiment,
+    step: Step,
+    spacing: float,
+    seed: int,
+    candidates: Sequence[str] | None,
+    console: Console,
+) -> Ranking:
+    """The scores beside a model that needs nothing: how little would have been seen."""
+    evaluation = step.solution.evaluation
+    return rank(
+        experiment,
+        step.belief,
+        evaluation,
+        spacing,
+        generator=np.random.default_rng((seed, 0)),
+        names=candidates,
+        allowance=allowance_of(experiment, spacing, step.belief, evaluation),
+        report=console.say,
+    )
+
+
+def diagnosis_document(found: Discovery, ranking: Ranking, experiment: Experiment) -> dict[str, object]:
+    """The JSON of a diagnosis."""
+    sigma = float(np.sqrt(np.mean([o.sigma**2 for o in experiment.observations.values()])))
+    entries = ranking_document(ranking, sigma)
+    return {
+        "verdict": found.verdict,
+        "effects": list(found.effects),
+        "ranking": entries,
+        "missing_force": None,
+        "advice": advice(found.verdict, found.effects, entries, found.warnings),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,69 @@
+"""A diagnosis as JSON and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mphygs.diagnose.rank import Ranking
+
+SHOWN = 8
+
+
+def ranking_document(ranking: Ranking, sigma: float) -> list[dict[str, object]]:
+    """Candidates, the best first. sigma: of one coordinate of the markers [m]."""
+    return [
+        {
+            "effect": entry.effect,
+            "kind": entry.kind,
+            "statistic": entry.statistic,
+            "p_value": entry.p_value,
+            "expected_rms": entry.expected_ratio * sigma * np.sqrt(3.0),
+            "estimate": dict(entry.estimate),
+            "confounded_with": list(entry.confounded_with),
+            "std": dict(entry.std),
+            "way": entry.label,
+            "reason": entry.reason,
+            "detectable": entry.detectable,
+        }
+        for entry in ranking.entries
+    ]
+
+
+def advice(
+    verdict: str, found: Sequence[str], ranking: Sequence[Mapping[str, object]], warnings: Sequence[str]
+) -> str:
+    """What to do next, in words."""
+    lines = []
+    if verdict == "adequate":
+        lines.append("Nothing needs to be added: the misfit is noise and the discretisation's share.")
+    elif verdict == "missing":
+        lines.append(f"Add {', '.join(found)} (mphygs extend).")
+    elif verdict == "measurement":
+        lines.append(f"Correct the measurement for {', '.join(found)}, or record again.")
+    else:
+        lines.append("No known effect brings the error to the noise.")
+        lines.append("Look at where and when the model fails (mphygs compare).")
+    ties = {e["effect"]: e["confounded_with"] for e in ranking if e["effect"] in found}
+    for name, others in ties.items():
+        if not others:
+            continue
+        lines.append(
+            f"This motion does not tell {name} from {', '.join(others)}: record another one, with another "
+            "amplitude, frequency or direction of gravity, and fit both."
+        )
+    return " ".join([*lines, *(f"Warning: {line}." for line in warnings)])
+
+
+def diagnosis_text(document: Mapping[str, object]) -> list[str]:
+    """Lines for people: the verdict, its reasons, the advice."""
+    effects = ", ".join(document["effects"]) or "none"
+    lines = [f"verdict: {document['verdict']}; effects: {effects}", ""]
+    for entry in document["ranking"][:SHOWN]:
+        numbers = ", ".join(f"{k} {v:.4g}" for k, v in entry["estimate"].items())
+        lines.append(
+            f"  {entry['way']}: chi^2 falls by {entry['statistic']:.1f}, p {entry['p_value']:.2g}, "
+            f"rms would be {1e3 * entry['expected_rms']:.3f} mm ({numbers})"
+        )
+    return [*lines, "", document["advice"]]

@@ -1,0 +1,183 @@
+"""`mphygs discover CAPTURE`: fit, compare, diagnose, extend, again, until the error is explained."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
+from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
+from mphygs.diagnose.__main__ import diagnosis_document, known_effects
+from mphygs.extend.__main__ import DOCUMENT
+from mphygs.extend.discover import Discovery, Step, discover
+from mphygs.extend.steps import left_out_of, run_at, step_at, step_document, steps_text
+from mphygs.fit.__main__ import RUNS, FitOptions, fitted
+from mphygs.fit.belief_document import belief_from_document, document_of_belief
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.of_run import experiment_of
+from mphygs.fit.run import Run
+
+PROGRAM = "mphygs discover"
+# The first model's fit, kept inside the run folder.
+FIRST = "first-fit"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscoverOptions(CommonOptions):
+    """Fit, compare, diagnose, extend, until the error is explained or nothing known explains it."""
+
+    capture: tyro.conf.Positional[Path | None] = None
+    """Folder of the capture. Without it: a small one made on the spot."""
+    out: Path | None = None
+    """Run folder; default: runs/NAME-OF-THE-CAPTURE-discover."""
+    sequences: Annotated[str | None, tyro.conf.arg(metavar="A,B")] = None
+    """Sequences to fit; default: all with frames to fit."""
+    effects: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Effects and faults that may be added; default: every known one."""
+    frames: Annotated[str | None, tyro.conf.arg(metavar="i:j")] = None
+    """Frames to fit, i to j - 1, instead of those that the capture states."""
+    spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
+    """Grid spacing [m]; default: from the object's volume."""
+    plugin: Path | None = None
+    """Python file that registers effects of your own: candidates like any other."""
+    seed: int = 0
+    """Of every bootstrap."""
+    workers: int | None = None
+    """Simulations side by side; default: one a core. Changes no number."""
+    resume: bool = False
+    """Continue the loop in --out where it stopped."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    return run(DiscoverOptions, loop, program=PROGRAM, argv=argv)
+
+
+def loop(options: DiscoverOptions, console: Console) -> Answer:
+    """Run the loop; every step is kept in the run folder as soon as it is done."""
+    candidates = known_effects(options.effects) if options.plugin is None else names(options.effects) or None
+    out = options.out or _default_folder(options)
+    first = out / FIRST
+    kept = _kept(out) if options.resume else {}
+    if not options.resume:
+        for stale in (DOCUMENT, DIAGNOSIS, "run.json"):
+            (out / stale).unlink(missing_ok=True)
+    given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
+    resume_fit = options.resume and (first / "run.json").is_file()
+    state, capture = fitted(FitOptions(**(given | {"out": first, "resume": resume_fit})), console)
+    console.resume = f"{PROGRAM} {shlex.quote(str(state.capture))} --out {shlex.quote(str(out))} --resume"
+    if kept.get("verdict"):
+        return Answer(kept["answer"], _text(kept["answer"]))
+    begun = replace(state, left_out=_left_out(kept))
+    experiment, belief = experiment_of(begun, workers=options.workers)
+    spacing = state.settings.spacing
+    documents = list(kept.get("steps", []))
+    beliefs = list(kept.get("beliefs", [document_of_belief(belief)]))
+    steps = [
+        step_at(experiment, belief_from_document(b), spacing, added=d["added"], ties=d["ties"])
+        for b, d in zip(beliefs, documents, strict=False)
+    ] or [step_at(experiment, belief, spacing)]
+    if not documents:
+        documents = [step_document(steps[0], experiment, ())]
+        _keep(out, documents, beliefs, experiment)
+
+    def on_step(step: Step) -> None:
+        documents.append(step_document(step, experiment, documents[-1]["effects"]))
+        beliefs.append(document_of_belief(step.belief))
+        _keep(out, documents, beliefs, experiment)
+        console.say("\n".join(steps_text(plain(documents[-1:]))))
+
+    found = discover(
+        experiment,
+        belief,
+        spacing,
+        seed=state.seed,
+        names=candidates,
+        start=steps,
+        report=console.say,
+        on_step=on_step,
+    )
+    answer = _conclude(out, options, state, experiment, found, documents)
+    _keep(out, documents, beliefs, experiment, answer)
+    return Answer(answer, _text(answer))
+
+
+def _default_folder(options: DiscoverOptions) -> Path:
+    name = "embedded" if options.capture is None else options.capture.resolve().name
+    return RUNS / f"{name}-discover"
+
+
+def _kept(out: Path) -> dict:
+    """What the loop in a folder has found so far."""
+    if not (out / FIRST).is_dir():
+        raise OptionError(f"--resume: {out} holds no loop; expected the --out of an earlier {PROGRAM}")
+    path = out / DOCUMENT
+    if not path.is_file():
+        return {}
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise OptionError(f"{path}: is not JSON ({error}); expected the steps of {PROGRAM}") from error
+
+
+def _left_out(kept: Mapping) -> dict[str, tuple[tuple[int, int], ...]]:
+    return {
+        name: tuple((int(frame), int(marker)) for frame, marker in entries)
+        for name, entries in kept.get("left_out", {}).items()
+    }
+
+
+def _keep(
+    out: Path, documents: list, beliefs: list, experiment: Experiment, answer: Mapping | None = None
+) -> None:
+    """Write the steps so far; with the answer when the loop is done."""
+    document = {"steps": documents, "beliefs": beliefs, "left_out": left_out_of(experiment)}
+    if answer is not None:
+        document |= {"verdict": answer["verdict"], "answer": answer}
+    part = out / f".{DOCUMENT}"
+    part.write_text(json.dumps(plain(document), indent=1) + "\n")
+    part.replace(out / DOCUMENT)
+
+
+def _conclude(
+    out: Path,
+    options: DiscoverOptions,
+    state: Run,
+    experiment: Experiment,
+    found: Discovery,
+    documents: list,
+) -> dict[str, object]:
+    """Write the last model as a run, the first diagnosis beside it; the JSON of the command."""
+    answer = {
+        "steps": documents,
+        "verdict": found.verdict,
+        "effects": list(found.effects),
+        "run": str(out),
+        "warnings": list(found.warnings),
+    }
+    given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
+    given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
+    run_at(state, out, found.steps[-1], experiment, options=given, answer=answer).save()
+    if found.rankings:
+        document = diagnosis_document(found, found.rankings[0], experiment)
+        (out / DIAGNOSIS).write_text(json.dumps(plain(document), indent=1) + "\n")
+    return answer
+
+
+def _text(answer: Mapping) -> str:
+    lines = steps_text(plain(answer["steps"]))
+    lines += ["", f"verdict: {answer['verdict']}; effects: {', '.join(answer['effects']) or 'none'}"]
+    lines += [f"warning: {line}" for line in answer["warnings"]]
+    folder = shlex.quote(str(answer["run"]))
+    return "\n".join([*lines, "", f"run folder: {folder}", f"next: mphygs report {folder}"])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""Steps of the loop: made again from a belief, told as JSON, kept in a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mphygs.extend.discover import Step
+from mphygs.fit.determined import information_of
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, covariance
+from mphygs.fit.of_run import errors_of
+from mphygs.fit.run import Run
+from mphygs.fit.tables import parameters_document
+from mphygs.model.belief import Belief
+
+
+def step_at(
+    experiment: Experiment,
+    belief: Belief,
+    spacing: float,
+    *,
+    added: Sequence[str] = (),
+    ties: Sequence[str] = (),
+) -> Step:
+    """The step that ended at a belief."""
+    evaluation = experiment.problem(spacing).evaluate(belief)
+    solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
+    compared = experiment.compare(belief, spacing)
+    return Step(belief, solution, compared, experiment.assess(compared), tuple(added), tuple(ties))
+
+
+def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:
+    """One step as JSON. before: everything that was in the model, or corrected for, before this step."""
+    evaluation, belief = step.solution.evaluation, step.belief
+    information = information_of(evaluation, len(belief.free))
+    # Corrections for faults that are not terms of the model are effects of the step all the same.
+    inside = tuple(dict.fromkeys((*before, *belief.effects, *step.added)))
+    return {
+        "effects": list(inside),
+        "added": list(step.added),
+        "ties": list(step.ties),
+        "sequences": errors_of(experiment, step.compared),
+        "adequate": step.assessment.adequate,
+        "p_value": step.assessment.p_value,
+        "parameters": parameters_document(belief, information, covariance(evaluation)),
+    }
+
+
+def left_out_of(experiment: Experiment) -> dict[str, tuple[tuple[int, int], ...]]:
+    """(frame, marker) by sequence of what was measured and is not used."""
+    found = {}
+    for name, observation in experiment.observations.items():
+        measured = np.isfinite(experiment.capture.sequence(name).markers.position).all(2)
+        dropped = np.argwhere(measured & ~np.isfinite(observation.position).all(2))
+        if len(dropped):
+            found[name] = tuple((int(frame), int(marker)) for frame, marker in dropped)
+    return found
+
+
+def run_at(
+    run: Run,
+    folder: Path,
+    step: Step,
+    experiment: Experiment,
+    *,
+    options: Mapping[str, object],
+    answer: Mapping[str, object] | None,
+) -> Run:
+    """The run that ends with a step. options: of the command that made it."""
+    evaluation = step.solution.evaluation
+    return replace(
+        run,
+        folder=folder,
+        options=options,
+        start=run.belief,
+        belief=step.belief,
+        covariance=covariance(evaluation),
+        information=information_of(evaluation, len(step.belief.free)),
+        left_out=left_out_of(experiment),
+        answer=answer,
+    )
+
+
+def steps_text(steps: Sequence[Mapping[str, object]]) -> list[str]:
+    """Lines for people: the error falling step by step, in standard deviations of the noise."""
+    lines = []
+    for step in steps:
+        if step["added"]:
+            lines.append(f"+ {', '.join(step['added'])}")
+        else:
+            lines.append(f"before: {', '.join(step['effects']) or 'elasticity alone'}")
+        for name, ranges in step["sequences"].items():
+            errors = [
+                f"{label} {1e3 * error['rms']:.3f} mm ({error['rms_over_sigma']:.2f} sigma)"
+                for label, error in ranges.items()
+                if error is not None and label != "all"
+            ]
+            lines.append(f"  {name}: {', '.join(errors)}")
+        if step["added"]:
+            for key, entry in step["parameters"].items():
+                if key.rsplit(".", 1)[0] in step["added"]:
+                    lines.append(f"  {key} = {entry['value']:.4g} +- {entry['std']:.2g} {entry['unit']}")
+        if step["ties"]:
+            lines.append(f"  not told apart from: {', '.join(step['ties'])}")
+    return lines

@@ -1,0 +1,130 @@
+"""The commands that say what is missing: extend, diagnose, discover."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from command_example import ETA, SPACING, answer, call, make_capture
+from mphygs import discover
+from mphygs.diagnose import __main__ as diagnose
+from mphygs.extend import __main__ as extend
+from mphygs.fit import __main__ as fit
+from mphygs.fit.run import load_run
+
+CANDIDATES = "viscosity,gravity"
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_capture(tmp_path_factory.mktemp("capture"))
+
+
+@pytest.fixture(scope="module")
+def elastic(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "elastic"
+    answer(fit.main, capture, "--out", out, "--spacing", SPACING)
+    return out
+
+
+def test_extend_shows_the_error_before_and_after(elastic: Path) -> None:
+    found = answer(extend.main, elastic, "viscosity")
+    assert found["run"] == f"{elastic}-viscosity"
+    before, after = found["steps"]
+    assert (before["effects"], after["effects"], after["added"]) == ([], ["viscosity"], ["viscosity"])
+    for label in ("fit", "predict"):
+        assert after["sequences"]["swing"][label]["rms"] < 0.8 * before["sequences"]["swing"][label]["rms"]
+    eta = after["parameters"]["viscosity.eta"]
+    assert abs(eta["value"] - ETA) < 3 * eta["std"]
+    assert after["pays"] is True
+    assert (found["verdict"], found["effects"]) == ("missing", ["viscosity"])
+    run = load_run(found["run"])
+    assert run.complete and run.belief["viscosity.eta"].value == eta["value"]
+    options = ("--effects", "viscosity", "--spacing", SPACING)
+    fitted = answer(fit.main, run.capture, "--out", elastic / "again", *options)["parameters"]
+    assert abs(eta["value"] - fitted["viscosity.eta"]["value"]) < 0.5 * eta["std"]
+
+
+def test_extend_says_when_an_effect_does_not_pay(elastic: Path, tmp_path: Path) -> None:
+    viscous = answer(extend.main, elastic, "viscosity", "--out", tmp_path / "viscous")["run"]
+    found = answer(extend.main, viscous, "eigenstrain", "--out", tmp_path / "more")
+    assert found["steps"][1]["pays"] is False
+    assert found["effects"] == []
+    code, out, _ = call(extend.main, viscous, "eigenstrain", "--out", tmp_path / "more")
+    assert code == 0 and "eigenstrain does not pay on unseen frames" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["magic"], "unknown effect 'magic'"),
+        ([], "no effect named"),
+        (["viscosity", "viscosity"], "is in the model already"),
+    ],
+)
+def test_extend_refuses_in_one_line(elastic: Path, tmp_path: Path, arguments: list[str], words: str) -> None:
+    code, out, err = call(extend.main, elastic, *arguments, "--out", tmp_path / "run")
+    assert (code, out) == (2, "")
+    assert words in err.splitlines()[-1]
+    assert not (tmp_path / "run").exists()
+
+
+def test_diagnose_names_what_is_missing(elastic: Path) -> None:
+    before = (elastic / "run.json").read_bytes()
+    found = answer(diagnose.main, elastic, "--effects", CANDIDATES)
+    assert set(found) == {"verdict", "effects", "ranking", "missing_force", "advice"}
+    assert (found["verdict"], found["effects"]) == ("missing", ["viscosity"])
+    first, second = found["ranking"]
+    assert (first["effect"], first["kind"], second["effect"]) == ("viscosity", "smooth", "gravity")
+    assert first["statistic"] > 2 * second["statistic"]
+    assert first["p_value"] < 1e-6
+    assert 0.5 * ETA < first["estimate"]["eta"] < 2 * ETA
+    assert set(first) >= {"expected_rms", "confounded_with"}
+    assert "viscosity" in found["advice"]
+    assert json.loads((elastic / "diagnosis.json").read_text()) == found
+    assert (elastic / "run.json").read_bytes() == before
+
+
+def test_diagnose_leaves_a_complete_model_alone(elastic: Path, tmp_path: Path) -> None:
+    viscous = answer(extend.main, elastic, "viscosity", "--out", tmp_path / "viscous")["run"]
+    found = answer(diagnose.main, viscous, "--effects", "gravity,mass_damping")
+    assert (found["verdict"], found["effects"]) == ("adequate", [])
+    assert [e["effect"] for e in found["ranking"]]
+
+
+def test_discover_runs_the_loop_and_resumes(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ("--out", tmp_path / "loop", "--spacing", SPACING, "--effects", CANDIDATES)
+    whole = discover.step_document
+
+    def broken_off(step: object, *arguments: object) -> dict:
+        if step.added:
+            raise KeyboardInterrupt
+        return whole(step, *arguments)
+
+    monkeypatch.setattr(discover, "step_document", broken_off)
+    code, out, err = call(discover.main, capture, *options)
+    assert (code, out) == (130, "")
+    assert "--resume" in err.splitlines()[-1]
+    monkeypatch.undo()
+    found = answer(discover.main, capture, *options, "--resume")
+    again = answer(discover.main, capture, "--out", tmp_path / "again", *options[2:])
+    assert [s["effects"] for s in found["steps"]] == [[], ["viscosity"]]
+    assert (found["verdict"], found["effects"]) == ("missing", ["viscosity"])
+    assert found["steps"] == again["steps"]
+    done = answer(discover.main, capture, *options, "--resume")
+    assert done == found
+    run = load_run(found["run"])
+    assert run.complete and run.belief.effects == ("viscosity",)
+    assert json.loads((tmp_path / "loop" / "diagnosis.json").read_text())["effects"] == ["viscosity"]
+
+
+def test_discover_refuses_in_one_line(capture: Path, tmp_path: Path) -> None:
+    for arguments, words in (
+        (["--effects", "magic"], "unknown effect 'magic'"),
+        (["--resume"], "holds no loop"),
+    ):
+        code, out, err = call(discover.main, capture, "--out", tmp_path / "loop", *arguments)
+        assert (code, out) == (2, "")
+        assert words in err and err.count("\n") == 1
