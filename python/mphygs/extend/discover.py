@@ -11,7 +11,7 @@ from mphygs.compare.assess import Assessment, Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
-from mphygs.extend.refit import Refit, refit
+from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import fit_belief
@@ -25,7 +25,10 @@ EXPLAINED_SHARE, SMALL_REST = 0.985, 1.5
 # Fewest steps that an effect must beat another by, on all frames, to be preferred [ratio of excess].
 CLEARLY_BETTER = 0.8
 LARGEST_MODEL = 4
-REFITS = 3
+# So many effects are begun to be refitted; so many of them to the end.
+BEGUN, FINISHED = 9, 3
+# An effect predicted to explain less than this share of what the best would is not begun.
+WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
 
 
@@ -99,15 +102,45 @@ def first_fit(
     return Step(solution.belief, solution, compared, experiment.assess(compared))
 
 
-def promising(ranking: Ranking, count: int) -> list[Entry]:
-    """Entries worth a refit: significant, the best first; physics and faults each get a hearing."""
+def promising(ranking: Ranking) -> list[Entry]:
+    """Entries worth a refit: significant, the best first; physics and faults each get a hearing.
+
+    Where the misfit is large the linear prediction is a poor judge: dissipative effects, say, are told apart
+    by refits, not by scores. So many are begun and few are finished.
+    """
     good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
-    chosen = good[:count]
+    if not good:
+        return []
+    chosen = [e for e in good if e.statistic > WORTH_A_TRY * good[0].statistic][:BEGUN]
     for kind in ("smooth", "threshold", "measurement"):
         rest = [e for e in good if e.kind == kind]
-        if rest and rest[0] not in chosen and rest[0].statistic > 0.3 * good[0].statistic:
+        if rest and rest[0] not in chosen and rest[0].statistic > 0.02 * good[0].statistic:
             chosen.append(rest[0])
     return chosen
+
+
+def refits_of(
+    experiment: Experiment, current: Step, ranking: Ranking, spacing: float, generator: np.random.Generator,
+    say: Callable[[str], None],
+) -> list[Refit]:  # fmt: skip
+    """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
+    begun = []
+    for entry in promising(ranking):
+        solution = start_refit(experiment, current.solution, entry, spacing, report=say)
+        if solution is not None:
+            begun.append((solution.evaluation.chi_square, entry, solution))
+    begun.sort(key=lambda item: item[0])
+    finished = []
+    for number, (chi_square, entry, solution) in enumerate(begun[: FINISHED + 1]):
+        if number and chi_square > 3.0 * begun[0][0] or number == FINISHED and chi_square > 1.1 * begun[0][0]:
+            continue
+        result = finish_refit(
+            experiment, current.solution, current.compared, entry, solution, spacing, generator=generator, report=say
+        )
+        if result is not None:
+            finished.append(result)
+            say(f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma in the worst range")
+    return finished
 
 
 def choose(refits: Sequence[Refit]) -> tuple[Refit, tuple[str, ...]]:
@@ -153,7 +186,7 @@ def discover(
         steps.append(replace(step, added=("marker_outliers",)))
         if on_step:
             on_step(steps[-1])
-    base = steps[-1].assessment
+    base = steps[0].assessment
     while not explained(base if steps[-1].added else steps[-1].assessment, steps[-1].assessment) or not steps[-1].added:
         current = steps[-1]
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
@@ -168,22 +201,16 @@ def discover(
         rankings.append(ranking)
         for entry in ranking.entries[:6]:
             say(f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, p {entry.p_value:.2g}")
-        refits = []
-        for entry in promising(ranking, REFITS):
-            result = refit(experiment, current.solution, current.compared, entry, spacing, generator=generator, report=report)
-            if result is None:
-                continue
-            say(f"  {entry.effect}: worst range {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma, pays: {result.pays}")
-            if result.surprising:
-                warnings.append(f"{entry.effect}: predicted drop {entry.statistic:.0f}, actual {result.actual_drop:.0f}")
-            if result.pays:
-                refits.append(result)
+        finished = refits_of(experiment, current, ranking, spacing, generator, say)
+        for r in finished:
+            if r.surprising:
+                warnings.append(f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, actual {r.actual_drop:.0f}")
+        refits = [r for r in finished if r.pays]
         if not refits:
             break
         best, ties = choose(refits)
-        tied = tuple(dict.fromkeys((*ties, *(n for n in best.entry.confounded_with if n in {r.entry.effect for r in refits}))))
         steps.append(
-            Step(best.belief, best.solution, best.compared, best.assessment, (best.entry.effect,), tied, tuple(refits))
+            Step(best.belief, best.solution, best.compared, best.assessment, (best.entry.effect,), ties, tuple(finished))
         )
         if on_step:
             on_step(steps[-1])

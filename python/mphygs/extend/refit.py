@@ -62,18 +62,16 @@ def _scaled(entry: Entry, belief: Belief, strength: float) -> Belief:
     return replace(out, parameters=tuple(replace(p, value=fitted.get(p.key, p.value)) for p in out.parameters))
 
 
-def refit(
+def start_refit(
     experiment: Experiment,
     before: Solution,
-    compared_before: dict[str, Compared],
     entry: Entry,
     spacing: float,
     *,
-    generator: np.random.Generator,
-    iterations: int = 8,
+    iterations: int = 3,
     report: Callable[[str], None] | None = None,
-) -> Refit | None:
-    """Refit with the entry's effect, from half, one and two times its estimate.
+) -> Solution | None:
+    """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate.
 
     Returns None where no such model can be simulated.
     """
@@ -90,6 +88,30 @@ def refit(
             best, best_cost = start, cost
     if best is None:
         return None
+    try:
+        solution = minimise(problem, best, iterations=iterations, relative_tolerance=1e-3)
+    except SimulationError:
+        return None
+    if report:
+        rms = np.sqrt(solution.evaluation.chi_square / max(solution.evaluation.data_rows, 1))
+        report(f"with {entry.label}: {rms:.3f} sigma after {len(solution.history) - 1} iterations")
+    return solution
+
+
+def finish_refit(
+    experiment: Experiment,
+    before: Solution,
+    compared_before: dict[str, Compared],
+    entry: Entry,
+    begun: Solution,
+    spacing: float,
+    *,
+    generator: np.random.Generator,
+    iterations: int = 10,
+    report: Callable[[str], None] | None = None,
+) -> Refit | None:
+    """Bring a refit that was begun to its minimum and judge it. None where its motion cannot be simulated."""
+    problem = experiment.problem(spacing)
 
     def tell(iteration: int, evaluation: object, _belief: Belief) -> None:
         if report:
@@ -97,7 +119,7 @@ def refit(
             report(f"with {entry.effect}: iteration {iteration}, {rms:.3f} sigma")
 
     try:
-        solution = minimise(problem, best, iterations=iterations, relative_tolerance=1e-3, report=tell)
+        solution = minimise(problem, begun.belief, iterations=iterations, relative_tolerance=3e-4, report=tell)
         compared = experiment.compare(solution.belief, spacing)
     except SimulationError:
         return None

@@ -88,7 +88,9 @@ def minimise(
             if logs.any() and np.abs(step[logs]).max() > longest_step:
                 step *= longest_step / np.abs(step[logs]).max()
             promised = -float(gradient @ step + 0.5 * step @ normal @ step)
-            if largest == 0.0 or promised < tolerance + relative_tolerance * current.cost:
+            # A model that is far from the data anyway is not worth the last digits of its numbers.
+            worth = relative_tolerance * (10.0 if current.chi_square > 4.0 * current.data_rows else 1.0)
+            if largest == 0.0 or promised < tolerance + worth * current.cost:
                 converged, reason = True, "converged"
                 break
             trial_belief = belief.at(belief.coordinates + step)

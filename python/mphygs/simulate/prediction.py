@@ -103,7 +103,9 @@ class Predictor:
         if "contact" in belief.effects:
             from mphygs.model.registry import core_parameter_offsets
 
-            fields["effect"][core_parameter_offsets()["contact"]] = 100.0  # everything touches
+            # Everything touches, without friction: at such depths it would brake without bound.
+            first = core_parameter_offsets()["contact"]
+            fields["effect"][first], fields["effect"][first + 4] = 100.0, 0.0
         stiffness, damping = model.largest_rates(fields, hook=self._hook(belief, fields))
         if "relaxation" in belief.effects:
             stiffness *= 1.0 + belief["relaxation.ratio"].value
@@ -190,7 +192,7 @@ class Predictor:
         wanted = [(belief, belief[key]) for key in keys] + list(candidates)
         simulated, slots = [], []
         for slot, (owner, parameter) in enumerate(wanted):
-            if _acts_in_simulation(parameter):
+            if acts_in_simulation(parameter):
                 simulated.append((owner, parameter))
                 slots.append(slot)
         runs = self._runs(belief, simulated, timeline, progress)
@@ -250,7 +252,7 @@ class Predictor:
             model = self.model(core_effects(belief), places(belief), belief.law)
             fields = self.inputs(belief, timeline, model)
             return model.simulate(fields, timeline.schedule, progress, self._hook(belief, fields)), []
-        changes = self._changes(belief, simulated)
+        changes = self.changes(belief, simulated)
         workers = max(1, min(self.settings.workers, len(simulated)))
         size = min(BATCH, -(-len(simulated) // workers))
         # Parameters that need the same effects share a run; the rest of an effect's cost is not paid by others.
@@ -293,7 +295,7 @@ class Predictor:
             belief, self.body, self.settings.number, fields["mass"], simulated=simulated, changes=changes
         )
 
-    def _changes(self, belief: Belief, simulated: list) -> list[dict[str, np.ndarray]]:
+    def changes(self, belief: Belief, simulated: list) -> list[dict[str, np.ndarray]]:
         """Direction of all fields for each parameter, prestress included."""
         changes = [direction(owner, self.body, parameter) for owner, parameter in simulated]
         if belief.prestress == "equilibrium":
@@ -351,7 +353,8 @@ class Predictor:
         return np.concatenate(own), base, merged, directions
 
     # ---- what is seen ---------------------------------------------------------------------------
-    def _weights(self) -> tuple:
+    def marker_weights(self) -> tuple:
+        """Free markers (M,) bool, and of these: node (F, 27), value, gradient [1/m], and which have an offset."""
         if not hasattr(self, "_marker_weights"):
             model = self.model((), np.zeros((0, 3)), "neo-hookean")
             free = self.attachment.hold < 0
@@ -362,7 +365,7 @@ class Predictor:
 
     def _observe(self, trajectory: tuple, timeline: Timeline) -> tuple[np.ndarray, np.ndarray]:
         """Marker positions and velocities, (T, M, 3)."""
-        free, node, value, gradient, turning = self._weights()
+        free, node, value, gradient, turning = self.marker_weights()
         a = self.attachment
         frames = len(timeline.frames)
         resting = frames - len(timeline.moving)
@@ -378,7 +381,7 @@ class Predictor:
         position[shown, free] += moved
         velocity[shown, free] = np.einsum("mk,tmkc->tmc", value, v[:, node])
         if turning.any():
-            rotation, _ = self._rotations(u, node[turning], gradient[turning])
+            rotation, _ = self.rotations(u, node[turning], gradient[turning])
             index = np.flatnonzero(free)[turning]
             offset = a.offset[index]
             position[shown, index] += np.einsum("tmij,mj->tmi", rotation, offset) - offset
@@ -396,7 +399,7 @@ class Predictor:
         return position, velocity
 
     @staticmethod
-    def _rotations(u: np.ndarray, node: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, tuple]:
+    def rotations(u: np.ndarray, node: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, tuple]:
         """Polar rotation of the deformation at attached points, (T, M, 3, 3), and its SVD."""
         f = np.einsum("tmkc,mkj->tmcj", u[:, node], gradient) + np.eye(3)
         left, singular, right = np.linalg.svd(f)
@@ -404,7 +407,7 @@ class Predictor:
 
     def _observe_tangent(self, value: tuple, tangent: tuple, timeline: Timeline) -> np.ndarray:
         """Derivative of the marker positions, (T, M, 3)."""
-        free, node, weight, gradient, turning = self._weights()
+        free, node, weight, gradient, turning = self.marker_weights()
         a = self.attachment
         frames = len(timeline.frames)
         out = np.zeros((frames, len(a.anchor), 3))
@@ -415,7 +418,7 @@ class Predictor:
             shown = slice(frames - len(timeline.moving), frames)
         out[shown, free] = np.einsum("mk,tmkc->tmc", weight, du[:, node])
         if turning.any():
-            _, (left, singular, right) = self._rotations(u, node[turning], gradient[turning])
+            _, (left, singular, right) = self.rotations(u, node[turning], gradient[turning])
             df = np.einsum("tmkc,mkj->tmcj", du[:, node[turning]], gradient[turning])
             # dR = U ((W - W^T) / (s_i + s_j)) V^T with W = U^T dF V.
             w = np.swapaxes(left, -1, -2) @ df @ np.swapaxes(right, -1, -2)
@@ -426,7 +429,8 @@ class Predictor:
         return out
 
 
-def _acts_in_simulation(parameter: Parameter) -> bool:
+def acts_in_simulation(parameter: Parameter) -> bool:
+    """Whether a parameter changes the motion; the others change what is seen of it, or when it starts."""
     owner = parameter.key.rsplit(".", 1)[0]
     if parameter.key.endswith(".release_shift"):
         return False
