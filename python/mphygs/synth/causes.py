@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Force (Q, 3) [N] and first Piola-Kirchhoff stress (Q, 3, 3) [Pa], None where there is none.
+Forces = tuple[np.ndarray | None, np.ndarray | None]
+
 
 @dataclass(frozen=True, eq=False)
 class Material:
@@ -26,14 +29,14 @@ class Material:
     time: float
 
 
-def cubic_drag(material: Material, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def cubic_drag(material: Material, values: Mapping[str, float]) -> Forces:
     """Force -c_3 |v|^2 v per mass; c_3 [s/m^2]."""
     speed = (material.velocity**2).sum(1)
     force = -values["c_3"] * (material.mass * material.inside * speed)[:, None] * material.velocity
-    return force, np.zeros_like(material.deformation)
+    return force, None
 
 
-def point_field(material: Material, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def point_field(material: Material, values: Mapping[str, float]) -> Forces:
     """Pull towards a fixed point (x, y, z) [m], strength / d^2 per mass; strength [m^3/s^2].
 
     Within `core` [m] of the point the pull stays finite.
@@ -41,10 +44,10 @@ def point_field(material: Material, values: Mapping[str, float]) -> tuple[np.nda
     towards = np.array([values["x"], values["y"], values["z"]]) - material.position
     distance = np.sqrt((towards**2).sum(1) + values["core"] ** 2)
     share = values["strength"] * material.mass * material.inside / distance**3
-    return share[:, None] * towards, np.zeros_like(material.deformation)
+    return share[:, None] * towards, None
 
 
-def actuation(material: Material, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def actuation(material: Material, values: Mapping[str, float]) -> Forces:
     """A muscle along (a_x, a_y, a_z) on one side of its points: second Piola-Kirchhoff stress, amplitude [Pa]
     times sin(2 pi f t), growing linearly across (b_x, b_y, b_z) over their extent, so that it bends them."""
     fibre, across = (np.array([values[f"{k}_{c}"] for c in "xyz"]) for k in "ab")
@@ -53,15 +56,15 @@ def actuation(material: Material, values: Mapping[str, float]) -> tuple[np.ndarr
     arm = (place - middle) / np.abs(place - middle)[material.inside].max()
     tension = values["amplitude"] * np.sin(2.0 * np.pi * values["f"] * material.time) * arm * material.inside
     stress = np.einsum("q,qik,k,j->qij", tension, material.deformation, fibre, fibre)
-    return np.zeros_like(material.position), stress
+    return None, stress
 
 
 @dataclass(frozen=True)
 class Cause:
-    """function(material, values) -> force (Q, 3) [N] and first Piola-Kirchhoff stress (Q, 3, 3) [Pa]."""
+    """function(material, values) gives the forces; values: names of its numbers."""
 
     name: str
-    function: Callable[[Material, Mapping[str, float]], tuple[np.ndarray, np.ndarray]]
+    function: Callable[[Material, Mapping[str, float]], Forces]
     values: tuple[str, ...]
 
 

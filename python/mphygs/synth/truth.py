@@ -100,17 +100,19 @@ class CauseForces:
         position: np.ndarray,
         velocity: np.ndarray,
         deformation: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Force (L, Q, 3) [N] and first Piola-Kirchhoff stress (L, Q, 3, 3) [Pa].
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Force (L, Q, 3) [N] and first Piola-Kirchhoff stress (L, Q, 3, 3) [Pa], None where there is none.
 
         Only the value lane is filled: the further lanes, of derivatives, are asked for when the stable
         substep is sought, and there causes as weak as these do not matter.
         """
-        force, stress = np.zeros(position.shape), np.zeros(deformation.shape)
+        forces: list[np.ndarray | None] = [None, None]
         state = [np.asarray(a[0], float) for a in (position, velocity, deformation)]
         for thing, inside in self._causes:
             material = Material(self._reference, *state, self._mass, self._volume, inside, time)
-            more_force, more_stress = CAUSES[thing.name].function(material, thing.values)
-            force[0] += more_force
-            stress[0] += more_stress
-        return force, stress
+            for k, more in enumerate(CAUSES[thing.name].function(material, thing.values)):
+                if more is not None:
+                    if forces[k] is None:
+                        forces[k] = np.zeros((position, deformation)[k].shape)
+                    forces[k][0] += more
+        return forces[0], forces[1]

@@ -1,0 +1,132 @@
+"""The cases: nulls, single effects, pairs, causes outside the list, faults, and traps."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from mphygs.synth.markers import Noise
+from mphygs.synth.motions import Motion
+from mphygs.synth.recipe import Recipe, Take, default_takes, recipe
+from mphygs.synth.shapes import shape
+
+# Grid of the truth over the fit's: finer, and with nodes elsewhere.
+SPACING_SHARE = 0.77
+GROUPS = ("null", "single", "pair", "outside", "fault", "trap")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case. hidden: as of `mphygs synth --hidden`; noise: its kind; fit_spacing: over a fit's default;
+    group_of: names of which any may be named first (a trap), beside those hidden."""
+
+    name: str
+    group: str
+    kind: str = "two-part-bar"
+    hidden: tuple[str, ...] = ()
+    noise: str = "white"
+    fit_spacing: float = 1.0
+    group_of: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def true_names(self) -> tuple[str, ...]:
+        return tuple(text.split(":")[0] for text in self.hidden)
+
+    def recipe(self, seed: int) -> Recipe:
+        """What the capture of one seed is made of."""
+        return recipe(
+            self.kind,
+            hidden=self.hidden,
+            seed=seed,
+            name=self.name,
+            noise=Noise(self.noise),
+            takes=_takes(self.kind),
+            marker_count=60,
+            spacing_share=SPACING_SHARE,
+            known="densities" if self.kind != "flower" else "first-density",
+        )
+
+
+def _takes(kind: str) -> tuple[Take, ...]:
+    """Short takes: one to fit and predict, another for prediction only."""
+    if kind == "flower":
+        return default_takes(shape(kind), frames=60)
+    shift = (Motion("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
+    shake = (Motion("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
+    return (
+        Take("release", shift, 60.0, 56, (0, 36), (36, 56), release=2),
+        Take("shake", shake, 60.0, 50, (0, 0), (0, 50), release=2),
+    )
+
+
+def _single(name: str, strengths: dict[str, str], kind: str = "two-part-bar") -> list[Case]:
+    return [
+        Case(f"{name}-{label}" if label else name, "single", kind, (f"{name}:{text}" if text else name,))
+        for label, text in strengths.items()
+    ]
+
+
+CASES: tuple[Case, ...] = (
+    Case("null-white", "null"),
+    Case("null-correlated", "null", noise="correlated"),
+    Case("null-jitter", "null", noise="jitter"),
+    Case("null-coarse", "null", fit_spacing=1.4),
+    Case("null-flower", "null", "flower"),
+    *_single("viscosity", {"weak": "eta=15", "usual": "eta=50", "strong": "eta=120"}),
+    *_single("air_drag", {"weak": "c_d=3", "usual": "c_d=10", "strong": "c_d=30"}),
+    *_single("mass_damping", {"weak": "alpha=0.4", "usual": "alpha=1.5", "strong": "alpha=4"}),
+    *_single("attached_mass", {"weak": "m=2e-4", "usual": "m=1.5e-3"}),
+    *_single("gravity", {"weak": "delta_g_y=0.3", "usual": "delta_g_y=1:delta_g_z=0.4"}),
+    *_single("stiffness_gradient", {"weak": "slope=2", "usual": "slope=9"}),
+    *_single("hold_compliance", {"": ""}),
+    *_single("tether", {"": ""}),
+    *_single("base_motion", {"": ""}),
+    *_single("fibre", {"": ""}),
+    *_single("relaxation", {"": ""}),
+    *_single("stiffening", {"": ""}),
+    *_single("compressibility", {"": ""}),
+    *_single("plasticity", {"": ""}),
+    *_single("contact", {"": ""}),
+    *_single("wind", {"": ""}),
+    *_single("eigenstrain", {"": ""}),
+    *_single("density_gradient", {"": ""}),
+    Case("flower-air_drag", "single", "flower", ("air_drag",)),
+    Case("flower-attached_mass", "single", "flower", ("attached_mass:at_rest=false",)),
+    Case("pair-viscosity-mass", "pair", hidden=("viscosity:eta=50", "attached_mass:m=1e-3")),
+    Case("pair-drag-tilt", "pair", hidden=("air_drag:c_d=15", "gravity:delta_g_y=1")),
+    Case("pair-damping-offset", "pair", hidden=("mass_damping:alpha=2", "time_offset:offset=0.006")),
+    Case("outside-cubic_drag", "outside", "flower", ("cubic_drag:c_3=40:part=head",)),
+    Case("outside-point_field", "outside", hidden=("point_field:strength=0.01",)),
+    Case("outside-actuation", "outside", hidden=("actuation:amplitude=2000",)),
+    Case("fault-time_offset", "fault", hidden=("time_offset:offset=0.008",)),
+    Case("fault-length_scale", "fault", hidden=("length_scale:scale=0.015",)),
+    Case("fault-frame_drift", "fault", hidden=("frame_drift",)),
+    Case("fault-marker_outliers", "fault", hidden=("marker_outliers:count=3",)),
+    # A uniform bar feels a fast thin wind as it feels a tilt: a steady force in proportion to its mass.
+    Case("trap-tilt-or-wind", "trap", "bar", ("gravity:delta_g_y=0.6",), group_of=("wind",)),
+    # More mass towards the tip, as a lump or as a gradient, slows the first mode alike.
+    Case(
+        "trap-mass-or-gradient",
+        "trap",
+        "bar",
+        ("density_gradient:slope=12",),
+        group_of=("attached_mass", "stiffness_gradient"),
+    ),
+)
+
+
+def chosen(patterns: Sequence[str]) -> tuple[Case, ...]:
+    """Cases whose name matches any pattern or whose group is named; all for none.
+
+    Raises ValueError for a pattern that matches nothing.
+    """
+    if not patterns:
+        return CASES
+    found: list[Case] = []
+    for pattern in patterns:
+        matching = [c for c in CASES if pattern == c.group or fnmatch.fnmatch(c.name, pattern)]
+        if not matching:
+            raise ValueError(f"--cases: '{pattern}' matches none of {', '.join(c.name for c in CASES)}")
+        found += [c for c in matching if c not in found]
+    return tuple(found)
