@@ -27,6 +27,7 @@ from mphygs.fit.run import Run
 PROGRAM = "mphygs discover"
 # The first model's fit, kept inside the run folder.
 FIRST = "first-fit"
+ANSWER = ("steps", "verdict", "effects", "run", "warnings")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +75,8 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     state, capture = fitted(FitOptions(**(given | {"out": first, "resume": resume_fit})), console)
     console.resume = f"{PROGRAM} {shlex.quote(str(state.capture))} --out {shlex.quote(str(out))} --resume"
     if kept.get("verdict"):
-        return Answer(kept["answer"], _text(kept["answer"]))
+        answer = {key: kept[key] for key in ANSWER}
+        return Answer(answer, _text(answer))
     begun = replace(state, left_out=_left_out(kept))
     experiment, belief = experiment_of(begun, workers=options.workers)
     spacing = state.settings.spacing
@@ -140,7 +142,7 @@ def _keep(
     """Write the steps so far; with the answer when the loop is done."""
     document = {"steps": documents, "beliefs": beliefs, "left_out": left_out_of(experiment)}
     if answer is not None:
-        document |= {"verdict": answer["verdict"], "answer": answer}
+        document |= answer
     part = out / f".{DOCUMENT}"
     part.write_text(json.dumps(plain(document), indent=1) + "\n")
     part.replace(out / DOCUMENT)

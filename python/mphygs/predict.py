@@ -20,6 +20,7 @@ from mphygs.fit.of_run import errors_of, experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import errors_text, parameters_of
 from mphygs.model.belief import Belief
+from mphygs.scene.surface import SurfaceSamples, exposed_surface
 from mphygs.simulate.prediction import Prediction, Predictor
 
 PROGRAM = "mphygs predict"
@@ -57,11 +58,12 @@ def predict(options: PredictOptions, console: Console) -> Answer:
     folder = options.out or state.folder / "predictions"
     folder.mkdir(parents=True, exist_ok=True)
     spacing = state.settings.spacing
+    surface = surface_points(experiment.capture)
     found: dict[str, dict[str, object]] = {}
     for number, recording in enumerate(recordings):
         console.progress(number / len(recordings), f"predicting {recording.name}")
         known = experiment.with_release(belief, recording.name, spacing) if recording.markers else belief
-        prediction, markers = predict_points(experiment, known, recording)
+        prediction, markers = predict_points(experiment, known, recording, surface)
         path = folder / f"{recording.name}.npz"
         _write(path, prediction, markers, recording)
         found[recording.name] = {
@@ -90,21 +92,29 @@ def _chosen(capture: Capture, wanted: Sequence[str]) -> list[Recording]:
         raise OptionError(f"--sequences: {error.args[0]}") from error
 
 
-def surface_points(capture: Capture, count: int) -> np.ndarray:
-    """At most about count vertices of the parts' surfaces, evenly picked, (V, 3) [m]."""
-    vertices = np.concatenate([part.vertices for part in capture.parts])
-    return vertices[:: max(1, -(-len(vertices) // count))]
+def surface_points(capture: Capture, count: int = SURFACE_POINTS) -> SurfaceSamples:
+    """About count samples of the object's open surface."""
+    corner = [part.vertices[part.faces] for part in capture.parts]
+    area = sum(
+        0.5 * np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1).sum() for t in corner
+    )
+    samples = exposed_surface(capture.parts, max_edge=float(np.sqrt(area / count)))
+    # Meshes of many small triangles give one sample each.
+    stride = slice(None, None, max(1, -(-len(samples.points) // (2 * count))))
+    return SurfaceSamples(
+        samples.points[stride], samples.area[stride], samples.normal[stride], samples.part[stride]
+    )
 
 
 def predict_points(
-    experiment: Experiment, belief: Belief, recording: Recording, *, surface: int = SURFACE_POINTS
+    experiment: Experiment, belief: Belief, recording: Recording, surface: SurfaceSamples
 ) -> tuple[Prediction, int]:
-    """Every frame of a sequence, for its markers and for points of the surface behind them.
+    """Every frame of a sequence, for its markers and, behind them, for points of the surface.
 
     Returns the prediction and the number of markers. Raises SimulationError where the run is unstable.
     """
     own = np.zeros((0, 3)) if recording.markers is None else recording.markers.at
-    at = np.concatenate([own, surface_points(experiment.capture, surface)])
+    at = np.concatenate([own, surface.points])
     unmeasured = Markers(np.full((recording.frames, len(at), 3), np.nan), at, 1.0)
     body = next((p.body for p in _same_hold(experiment, recording)), None)
     settings = experiment.settings

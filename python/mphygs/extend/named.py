@@ -8,7 +8,7 @@ import numpy as np
 
 from mphygs.diagnose.rank import rank
 from mphygs.extend.discover import Step, first_fit, mask_outliers
-from mphygs.extend.refit import refit, unseen_gain
+from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
 from mphygs.model.belief import Belief
@@ -63,9 +63,19 @@ def add_named(
         return _refitted(
             experiment, before, _started(before.belief, name, experiment), name, spacing, generator, report
         )
-    found = refit(
-        experiment, before.solution, before.compared, entry, spacing, generator=generator, report=report
-    )
+    begun = start_refit(experiment, before.solution, entry, spacing, report=report)
+    found = None
+    if begun is not None:
+        found = finish_refit(
+            experiment,
+            before.solution,
+            before.compared,
+            entry,
+            begun,
+            spacing,
+            generator=generator,
+            report=report,
+        )
     if found is None:
         raise ValueError(f"effect '{name}': the model with it cannot be simulated from its estimate")
     step = Step(
