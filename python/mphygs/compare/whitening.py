@@ -115,6 +115,17 @@ class Whitener:
             values = self._remove_common(values)
         return values[self.frame, self.marker, self.coordinate]
 
+    def whiten_transposed(self, rows: Array) -> Array:
+        """L^-T of whitened rows (N, ...), the adjoint of `whiten`: (T, M, C, ...), zero where unobserved."""
+        rows = np.asarray(rows, dtype=float)
+        if len(rows) != self.row_count:
+            raise ValueError(f"{len(rows)} rows: expected {self.row_count}")
+        values = np.zeros((*self.observed.shape, self.coordinates, *rows.shape[1:]))
+        values[self.frame, self.marker, self.coordinate] = rows
+        if np.any(self._common > 0.0):
+            values = self._remove_common(values)  # symmetric
+        return self._time.whiten_transposed(values)
+
     def _spread(self, amplitudes: Array) -> Array:
         """Common jitter of unit scale, amplitudes (T, ...), as whitened series (T, M, ...)."""
         course = np.tensordot(self._root, amplitudes, axes=1)

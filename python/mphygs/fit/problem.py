@@ -74,6 +74,10 @@ class Problem:
         """The same problem on other frames; sequences that are new get their predictors."""
         return Problem(self.capture, self.settings, ranges, self.observations, dict(self.predictors), self.substep)
 
+    def stable_substep(self, belief: Belief) -> float:
+        """Shortest substep that any sequence needs [s]."""
+        return min(self.predictors[name].stable_substep(belief) for name in self.ranges)
+
     def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
         """Residuals (measured - predicted, whitened) and their Jacobian.
 
@@ -95,16 +99,20 @@ class Problem:
             count += len(residuals[-1])
             positions[name] = prediction.position
             substeps += prediction.substeps
-        prior = np.array([p.prior_residual for p in free]).reshape(-1, 2)
-        residual = np.concatenate([*residuals, prior[:, 0]])
+        prior, prior_slope = self.prior_rows(belief)
+        residual = np.concatenate([*residuals, prior])
         full = np.zeros((len(residual), len(free)))
         if jacobian and jacobians:
             full[:count] = np.concatenate(jacobians)
-        full[count:] = np.diag(prior[:, 1])
-        residual, full = self._with_mass(belief, residual, full)
+        full[count:] = prior_slope
         if not np.isfinite(residual).all():
             raise SimulationError("the prediction is not finite")
         return Evaluation(residual, full, count, rows, positions, substeps)
+
+    def prior_rows(self, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (R,) of the priors and of the stated mass, and their Jacobian (R, P)."""
+        prior = np.array([p.prior_residual for p in belief.free]).reshape(-1, 2)
+        return self._with_mass(belief, prior[:, 0], np.diag(prior[:, 1]))
 
     def _with_mass(self, belief: Belief, residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The stated mass of the whole object as one more measurement."""

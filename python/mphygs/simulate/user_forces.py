@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mphygs.model.belief import Parameter
 from mphygs.model.point_state import PointState
 from mphygs.model.registry import effect
 from mphygs.model.user_effect import UserEffect, implementation, writes
@@ -39,6 +40,7 @@ class UserForces:
     ) -> None:
         self._effects: tuple[UserEffect, ...] = tuple(implementation(n) for n in names)
         self._names = tuple(names)
+        self._keys = [f"{n}.{p.name}" for n in names for p in effect(n).parameters]
         self._dtype = torch.float32 if dtype == np.float32 else torch.float64
         self._parameters = self._tensor(parameters)
         self._mass = self._tensor(mass).reshape(-1)
@@ -52,6 +54,17 @@ class UserForces:
         self._stresses = any(writes(e, "stress") for e in self._effects)
         self.parameter_bar = np.zeros(len(self._parameters))
         self.mass_bar = np.zeros(len(self._mass))
+
+    def slope(self, parameter: Parameter, mass_change: np.ndarray | None) -> float:
+        """After an adjoint run: what the core does not see of the slope by a parameter's coordinate."""
+        total = (
+            0.0
+            if mass_change is None
+            else float(np.vdot(self.mass_bar, np.asarray(mass_change, float).ravel()))
+        )
+        if parameter.key in self._keys:
+            total += float(self.parameter_bar[self._keys.index(parameter.key)]) * parameter.slope
+        return total
 
     def _tensor(self, values: np.ndarray) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(values), dtype=self._dtype)
