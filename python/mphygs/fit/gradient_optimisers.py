@@ -3,8 +3,8 @@
 The residuals are those of the Levenberg-Marquardt fit, priors and known mass included; one iteration costs
 one adjoint run a sequence, whatever the number of parameters. Up to LARGEST_METRIC of them are searched for
 in coordinates in which the cost at the start is round, from one Jacobian; more, in their own. Sources: Kingma
-and Ba, "Adam: a method for stochastic optimization", 2015; Liu and Nocedal, "On the limited memory BFGS method
-for large scale optimization", 1989; both as in torch.optim.
+and Ba, "Adam: a method for stochastic optimization", 2015; Liu and Nocedal, "On the limited memory BFGS
+method for large scale optimization", 1989; both as in torch.optim.
 """
 
 from __future__ import annotations
@@ -131,7 +131,8 @@ def minimise_by_gradient(
     as PATIENCE says; report: called with iteration, best cost and its belief. The evaluation of the solution
     holds the Jacobian at the best belief that was met.
 
-    Raises ValueError for an unknown method, SimulationError when even the starting belief cannot be simulated.
+    Raises ValueError for an unknown method, SimulationError when even the starting belief cannot be
+    simulated.
     """
     if method not in METHODS:
         raise ValueError(f"method '{method}': expected one of {', '.join(METHODS)}")
