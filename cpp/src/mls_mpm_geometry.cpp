@@ -90,6 +90,7 @@ MlsMpm<T>::MlsMpm(MlsGeometry geometry, MlsSettings settings) : geometry_(std::m
                                                                              std::to_string(given) + " of " + std::to_string(count));
         place_particle_.push_back(given >= 0 ? given : nearest_particle(g, &g.places[3 * p]));
     }
+    workspace_ = std::make_shared<MlsWorkspace<T>>();
     padded_ = (count + tile_size - 1) / tile_size * tile_size;
     chunk_count_ = static_cast<int>(std::clamp<std::size_t>(padded_ / 1024, 1, 16));
 }

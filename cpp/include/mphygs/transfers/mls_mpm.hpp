@@ -21,6 +21,9 @@
 
 namespace mphygs {
 
+template <class T>
+struct MlsWorkspace;
+
 /// Called at every output frame; returning false stops the run (SimulationError "interrupted").
 using Progress = std::function<bool(int frame)>;
 
@@ -77,7 +80,7 @@ class MlsMpm {
                                                const Schedule& schedule, const Progress& progress = {}) const;
 
     /// Gradient of a loss whose derivatives by the trajectory are given (members may be empty);
-    /// checkpointed. `recomputed` returns the number of substeps computed again.
+    /// checkpointed. velocity0 has a gradient where it is given. `recomputed` returns the number of substeps computed again.
     Fields<T> adjoint(const Fields<T>& fields, const Schedule& schedule, const ParticleTrajectory<T>& bar,
                       const Progress& progress = {}, long* recomputed = nullptr) const;
 
@@ -114,6 +117,7 @@ class MlsMpm {
     std::vector<std::int32_t> place_particle_;
     std::size_t padded_ = 0;  // particles, filled up to whole tiles
     int chunk_count_ = 1;
+    std::shared_ptr<MlsWorkspace<T>> workspace_;  // memory that gradients of this model use again
 };
 
 extern template class MlsMpm<float>;

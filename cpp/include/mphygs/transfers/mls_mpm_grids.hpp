@@ -9,7 +9,7 @@
 #include <limits>
 
 #include "mphygs/parallel.hpp"
-#include "mphygs/transfers/mls_mpm_state.hpp"
+#include "mphygs/transfers/mls_mpm_lanes.hpp"
 
 namespace mphygs {
 
@@ -38,15 +38,35 @@ class MlsGrids {
 
     /// Sums the chunks' grids in their order and divides momentum by mass; the result is zero where
     /// no particle reaches. ranges: where the particles were when they scattered.
-    void reduce(const Box& box, const std::vector<CellRange>& ranges, int threads, std::vector<T>& grid) {
+    void reduce(const Box& box, const std::vector<CellRange>& ranges, int threads, Buffer<T>& grid) {
         grid.resize(lanes_ * 4 * box.nodes() + 4);
+        clear(box, ranges, threads, grid.data());
         sum(box, ranges, threads, [&](std::size_t first, std::size_t count, const auto& add) {
             for (std::size_t l = 0; l < lanes_; ++l) {
-                std::fill_n(&grid[4 * (l * box.nodes() + first)], 4 * count, T{});
                 add(l, &grid[4 * (l * box.nodes() + first)]);
             }
-            for (std::size_t i = first; i < first + count; ++i) {
+            std::size_t i = first;
+            for (; lanes_ == 1 && i + 4 <= first + count; i += 4) {
+                normalise_four(&grid[4 * i]);
+            }
+            for (; i < first + count; ++i) {
                 normalise(grid.data() + 4 * i, 4 * box.nodes());
+            }
+        });
+    }
+
+    /// Zeros on the planes that are read: a row of three nodes reads a fourth.
+    void clear(const Box& box, const std::vector<CellRange>& ranges, int threads, T* grid) const {
+        CellRange all;
+        for (const CellRange& r : ranges) {
+            all.cover(r);
+        }
+        const int first = all.low[0] - 1 - box.low[0], planes = all.high[0] - all.low[0] + 3;
+        for_each_index(planes, threads, [&](int plane) {
+            const std::size_t at = static_cast<std::size_t>(first + plane) * box.plane();
+            for (std::size_t l = 0; l < lanes_; ++l) {
+                // The first node of the plane behind is the fourth of this plane's last row.
+                std::fill_n(grid + 4 * (l * box.nodes() + at), 4 * box.plane() + (plane + 1 == planes ? 4 : 0), T{});
             }
         });
     }
@@ -82,8 +102,9 @@ class MlsGrids {
         });
     }
 
+    static constexpr T least_mass = std::numeric_limits<T>::min() * T(1e8);
     /// 1/m, or 0 on nodes with so little mass that it cannot be divided by.
-    static T inverse_mass(T m) { return m > std::numeric_limits<T>::min() * T(1e8) ? T(1) / m : T(0); }
+    static T inverse_mass(T m) { return m > least_mass ? T(1) / m : T(0); }
 
   private:
     struct Slab {
@@ -102,6 +123,13 @@ class MlsGrids {
                 d = (d - node[c] * node[l * lane_stride + 3]) * inverse;
             }
         }
+    }
+
+    static void normalise_four(T* nodes) {
+        const Row<T> value = read<Row<T>>(nodes);
+        const Row<T> mass = fourth(value);
+        const Row<T> inverse = mass > least_mass ? T(1) / mass : Row<T>{};
+        write(nodes, keep_fourth(value * inverse, value));
     }
 
     std::size_t lanes_;

@@ -52,6 +52,23 @@ template <class R>
 inline R stretch(R r) {
     return __builtin_shufflevector(r, r, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
 }
+/// The fourth number of each node, four times.
+template <class R>
+inline R fourth(R r) {
+    return __builtin_shufflevector(r, r, 3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11, 15, 15, 15, 15);
+}
+/// The first three numbers of each node from a, the fourth from b.
+template <class R>
+inline R keep_fourth(R a, R b) {
+    return __builtin_shufflevector(a, b, 0, 1, 2, 19, 4, 5, 6, 23, 8, 9, 10, 27, 12, 13, 14, 31);
+}
+/// Sum of the first three numbers of each node, four times.
+template <class R>
+inline R sum_three(R r) {
+    return __builtin_shufflevector(r, r, 0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12) +
+           __builtin_shufflevector(r, r, 1, 1, 1, 1, 5, 5, 5, 5, 9, 9, 9, 9, 13, 13, 13, 13) +
+           __builtin_shufflevector(r, r, 2, 2, 2, 2, 6, 6, 6, 6, 10, 10, 10, 10, 14, 14, 14, 14);
+}
 /// The four numbers of which a (b, c, d) has four each, summed over the nodes: {a, b, c, d}.
 template <class R>
 inline R sum_nodes(R a, R b, R c, R d) {
@@ -63,17 +80,11 @@ inline R sum_nodes(R a, R b, R c, R d) {
            __builtin_shufflevector(ab, cd, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31);
 }
 
-/// Transposes sixteen rows of sixteen numbers, `stride` apart; to[j]: where column j goes, if anywhere.
+/// A register of particles for each of sixteen numbers, by blocks of four.
 template <class T>
-inline void transpose_rows(const T* from, std::size_t stride, T* const* to) {
-    for (int i = 0; i < 16; ++i) {
-        for (int j = 0; j < 16; ++j) {
-            if (to[j]) {
-                to[j][i] = from[stride * static_cast<std::size_t>(i) + static_cast<std::size_t>(j)];
-            }
-        }
-    }
-}
+struct Columns {
+    Wide<T> at[4][4];
+};
 
 namespace detail {
 using F = Row<float>;
@@ -111,25 +122,44 @@ inline void write_quads(double* to, Wide<double> a, Wide<double> b, Wide<double>
     }
 }
 
-template <>
-inline void transpose_rows<float>(const float* from, std::size_t stride, float* const* to) {
+/// rows: sixteen numbers of each particle, one particle after the other.
+[[gnu::always_inline]] inline Columns<float> columns_of(const float* rows) {
     using namespace detail;
-    const auto row = [&](std::size_t i) { return read<F>(from + stride * i); };
+    const auto row = [&](std::size_t i) { return read<F>(rows + 16 * i); };
     const Four g0 = transpose_small(row(0), row(1), row(2), row(3));
     const Four g1 = transpose_small(row(4), row(5), row(6), row(7));
     const Four g2 = transpose_small(row(8), row(9), row(10), row(11));
     const Four g3 = transpose_small(row(12), row(13), row(14), row(15));
-    const auto put = [&](int j, const Four& c) {
-        if (to[j]) write(to[j], c.a);
-        if (to[j + 4]) write(to[j + 4], c.b);
-        if (to[j + 8]) write(to[j + 8], c.c);
-        if (to[j + 12]) write(to[j + 12], c.d);
+    const Four x = transpose_blocks(g0.a, g1.a, g2.a, g3.a), y = transpose_blocks(g0.b, g1.b, g2.b, g3.b);
+    const Four z = transpose_blocks(g0.c, g1.c, g2.c, g3.c), m = transpose_blocks(g0.d, g1.d, g2.d, g3.d);
+    return {{{x.a, y.a, z.a, m.a}, {x.b, y.b, z.b, m.b}, {x.c, y.c, z.c, m.c}, {x.d, y.d, z.d, m.d}}};
+}
+[[gnu::always_inline]] inline void write_rows(float* rows, const Columns<float>& c) {
+    using namespace detail;
+    const auto small = [&](int k) { return transpose_small(c.at[k][0], c.at[k][1], c.at[k][2], c.at[k][3]); };
+    const Four g0 = small(0), g1 = small(1), g2 = small(2), g3 = small(3);
+    const auto put = [&](std::size_t j, const Four& f) {
+        write(rows + 16 * j, f.a), write(rows + 16 * (j + 4), f.b), write(rows + 16 * (j + 8), f.c), write(rows + 16 * (j + 12), f.d);
     };
     put(0, transpose_blocks(g0.a, g1.a, g2.a, g3.a));
     put(1, transpose_blocks(g0.b, g1.b, g2.b, g3.b));
     put(2, transpose_blocks(g0.c, g1.c, g2.c, g3.c));
-    if (to[3]) {
-        put(3, transpose_blocks(g0.d, g1.d, g2.d, g3.d));
+    put(3, transpose_blocks(g0.d, g1.d, g2.d, g3.d));
+}
+inline Columns<double> columns_of(const double* rows) {
+    Columns<double> c;
+    for (int i = 0; i < 8; ++i) {
+        for (int k = 0; k < 16; ++k) {
+            c.at[k / 4][k % 4][i] = rows[16 * i + k];
+        }
+    }
+    return c;
+}
+inline void write_rows(double* rows, const Columns<double>& c) {
+    for (int i = 0; i < 8; ++i) {
+        for (int k = 0; k < 16; ++k) {
+            rows[16 * i + k] = c.at[k / 4][k % 4][i];
+        }
     }
 }
 

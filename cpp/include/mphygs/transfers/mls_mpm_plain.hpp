@@ -21,8 +21,6 @@ inline Wide<float> wide_logarithm(Wide<float> x) {
 /// What every particle of a chunk shares in one pass.
 template <class T>
 struct PlainPass {
-    T* moving;     // x and F of all particles
-    T* velocity;   // (3, size) at output frames, else null
     std::size_t size;
     T inverse_spacing;
     T dt;          // of the motion
@@ -32,25 +30,27 @@ struct PlainPass {
 };
 
 /// Moves and strains the tile's particles by what was gathered, and fills it with what they give.
-/// Returns the first that left the limits, -1: none.
+/// from, to: x and F of all particles before and after, the same or not; velocity: (3, size) at
+/// output frames, else null. Returns the first that left the limits, -1: none.
 template <class T>
-inline long plain_tile(MlsTile<T, 0>& tile, std::size_t first, const PlainPass<T>& pass, const MlsOrder<T>& order,
-                       const std::array<int, 3>& axis, const Box& box, const CellRange& limits, SeenRange<Wide<T>>& seen) {
+inline long plain_tile(MlsTile<T, 0>& tile, std::size_t first, const PlainPass<T>& pass, const T* from, T* to, T* velocity,
+                       const MlsOrder<T>& order, const std::array<int, 3>& axis, const Box& box, const CellRange& limits, SeenRange<Wide<T>>& seen) {
     using W = Wide<T>;
     long failed = -1;
     const T strain = T(4) * pass.inverse_spacing * pass.dt;  // C dt from the moment
     const T stress = T(4) * pass.inverse_spacing * pass.next_dt;
     for (std::size_t k = 0; k < tile_size; k += MlsVector<T>::wide_count) {
         const std::size_t p = first + k;
-        T* moving = pass.moving + slot_of(0, moving_numbers, p);
+        const T* moving = from + slot_of(0, moving_numbers, p);
+        T* moved = to + slot_of(0, moving_numbers, p);
         const T* fixed = &order.fixed[slot_of(0, fixed_numbers, p)];
         W v[3], m[3][3], f[3][3], scaled[3], x[3];
         for (std::size_t c = 0; c < 3; ++c) {
             v[c] = read<W>(&tile.q[0][c][k]);
             x[c] = read<W>(moving + group_size * c) + pass.dt * v[c];
-            write(moving + group_size * c, x[c]);
-            if (pass.velocity) {
-                write(&pass.velocity[c * pass.size + p], v[c]);
+            write(moved + group_size * c, x[c]);
+            if (velocity) {
+                write(&velocity[c * pass.size + p], v[c]);
             }
             for (std::size_t j = 0; j < 3; ++j) {
                 m[c][j] = read<W>(&tile.n[0][3 * c + j][k]);
@@ -61,7 +61,7 @@ inline long plain_tile(MlsTile<T, 0>& tile, std::size_t first, const PlainPass<T
         for (std::size_t i = 0; i < 3; ++i) {
             for (std::size_t j = 0; j < 3; ++j) {
                 g[i][j] = f[i][j] + strain * (m[i][0] * f[0][j] + m[i][1] * f[1][j] + m[i][2] * f[2][j]);
-                write(moving + group_size * (3 + 3 * i + j), g[i][j]);
+                write(moved + group_size * (3 + 3 * i + j), g[i][j]);
             }
             scaled[i] = x[axis[i]] * pass.inverse_spacing;
         }

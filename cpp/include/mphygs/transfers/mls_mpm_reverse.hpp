@@ -42,22 +42,22 @@ class MlsMpmReverse {
         bar_order_ = run_.state_.order;
         const std::size_t particles = (run_.state_.moving.size() + run_.state_.history.size()) * sizeof(T);
         const std::size_t bytes = particles + run_.state_.grid.size() * 2 * sizeof(T);  // a box may grow
-        const auto forward = [&](int n) {
-            run_.step(n);
+        const auto advance = [&](int n, MlsState<T>* record) {
+            run_.step(n, record);
             if (table_.is_frame(n + 1)) {
                 keep_frame(table_.frame_of_state(n + 1));
             }
         };
+        const auto forward = [&](int n) { advance(n, nullptr); };
         const auto save = [&] { return run_.state_; };
         const auto restore = [&](const MlsState<T>& s) { run_.state_ = s; };
         const auto forward_recorded = [&](int n) {
-            run_.prepare(n);
-            MlsState<T> s = run_.state_;
-            forward(n);
+            MlsState<T> s;
+            advance(n, &s);
             return s;
         };
         bool first = true;
-        const auto backward = [&](int n, const MlsState<T>& record) {
+        const auto backward = [&](int n, MlsState<T>& record) {
             if (first) {
                 take_loss(loss);
                 first = false;
@@ -69,6 +69,8 @@ class MlsMpmReverse {
             if (n == 0) {
                 reverse_start(record);
             }
+            model_.workspace_->moving.give(std::move(record.moving));
+            model_.workspace_->grid.give(std::move(record.grid));
         };
         const long computed =
             reverse_all(steps, bytes, bytes, model_.settings_.memory_budget, save, restore, forward, forward_recorded, backward);
@@ -199,18 +201,26 @@ class MlsMpmReverse {
     /// Bars of the velocities, summed, to bars of momentum and mass.
     void grid_bar(const MlsState<T>& record) {
         bar_grid_.resize(4 * record.box.nodes() + 4);
+        grids_.clear(record.box, record.ranges, model_.settings_.threads, bar_grid_.data());
         grids_.sum(record.box, record.ranges, model_.settings_.threads, [&](std::size_t first, std::size_t count, const auto& add) {
             T* bar = &bar_grid_[4 * first];
             const T* value = &record.grid[4 * first];
-            std::fill_n(bar, 4 * count, T{});
             add(0, bar);
-            for (std::size_t i = 0; i < 4 * count; i += 4) {
-                const T inverse = MlsGrids<T>::inverse_mass(value[i + 3]);
-                const T work = bar[i] * value[i] + bar[i + 1] * value[i + 1] + bar[i + 2] * value[i + 2];
+            std::size_t i = 0;
+            for (; i + 4 <= count; i += 4) {
+                const Row<T> v = read<Row<T>>(value + 4 * i), v_bar = read<Row<T>>(bar + 4 * i), mass = fourth(v);
+                const Row<T> inverse = mass > MlsGrids<T>::least_mass ? T(1) / mass : Row<T>{};
+                write(bar + 4 * i, keep_fourth(v_bar * inverse, -sum_three(v * v_bar) * inverse));
+            }
+            for (; i < count; ++i) {
+                T* b = bar + 4 * i;
+                const T* v = value + 4 * i;
+                const T inverse = MlsGrids<T>::inverse_mass(v[3]);
+                const T work = b[0] * v[0] + b[1] * v[1] + b[2] * v[2];
                 for (std::size_t c = 0; c < 3; ++c) {
-                    bar[i + c] *= inverse;
+                    b[c] *= inverse;
                 }
-                bar[i + 3] = -work * inverse;
+                b[3] = -work * inverse;
             }
         });
         bar_box_ = record.box;
@@ -270,11 +280,11 @@ class MlsMpmReverse {
         MlsTile<T, 0> tile;
         PlainTile<T> plain;
         Wide<T> gravity_bar[3] = {};
-        const PlainPass<T> pass = run_.plain_pass(h, forces, false);
+        const PlainPass<T> pass = run_.plain_pass(h, forces);
         const bool hot = forces && run_.forces_.plain() && !table_.is_frame(n + 1);
         for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
             if (hot && run_.forces_.plain_tile(*record.order, t)) {
-                run_.stand_tile(plain.took, record, t, limits);
+                run_.stand_tile(plain.took, record.moving, record.box, t, limits);
                 gather_rows<T>(plain.took, record.grid.data(), model_.axis_, record.box);
                 plain_given<T>(plain, record.moving.data(), t, pass, *record.order, model_.axis_, bar_box_, inside(bar_box_, bar_ranges_[c]));
                 reverse_scatter_rows<T>(plain.given, bar_grid_.data(), model_.axis_, bar_box_, plain.bars, plain.slope);
@@ -348,8 +358,9 @@ class MlsMpmReverse {
                 run_.start_velocity_[c * size + p] = fields_.velocity0[3 * i + c];
             }
         }
-        std::vector<std::vector<T>> grid, affine;
-        for (int round = 0; round < Run::start_rounds; ++round) {
+        std::vector<Buffer<T>> grid;
+        std::vector<std::vector<T>> affine;
+        for (int round = 0; round < run_.start_rounds(); ++round) {
             run_.start_round(record.box, round > 0, false);
             grid.push_back(run_.state_.grid);
             affine.push_back(run_.start_affine_);
@@ -359,15 +370,19 @@ class MlsMpmReverse {
         run_.forces_.refresh(0);
         clear_sums();
         start_tiles(record, [&](std::size_t c, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
-            gather_tile<T, 0>(tile, grid.back().data(), 0, model_.axis_, record.box);
+            if (!grid.empty()) {
+                gather_tile<T, 0>(tile, grid.back().data(), 0, model_.axis_, record.box);
+            }
             for (int k = 0; k < tile_packs; ++k) {
-                points[k].c = run_.affine_velocity(tile.get_n(k));
+                if (!grid.empty()) {
+                    points[k].c = run_.affine_velocity(tile.get_n(k));
+                }
                 add_seeds(0, *record.order, t + static_cast<std::size_t>(k * lane_count), bars[k]);
             }
             reverse_given(c, t, *record.order, points, no_history.data(), bars);
         });
         add_sums(0);
-        for (int round = Run::start_rounds - 1; round >= 0; --round) {
+        for (int round = run_.start_rounds() - 1; round >= 0; --round) {
             // C of the next round was gathered from this grid ...
             const MlsState<T> here{record.order, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
             grids_.prepare(record.box, record.ranges);
@@ -506,14 +521,16 @@ class MlsMpmReverse {
         out.place_effect = narrow(forces_.place_effect_bar);
         out.gravity = {static_cast<T>(gravity_bar_[0]), static_cast<T>(gravity_bar_[1]), static_cast<T>(gravity_bar_[2])};
         out.displacement0.resize(3 * count);
-        out.velocity0.resize(3 * count);
+        out.velocity0.resize(fields_.velocity0.size());
         out.deformation0.resize(9 * count);
         for (std::size_t p = 0; p < size; ++p) {
             const std::size_t i = static_cast<std::size_t>(bar_order_->id[p]);
             // Padding stands on the last particle but gives nothing: its bars are zero.
             for (std::size_t c = 0; i < count && c < 3; ++c) {
                 out.displacement0[3 * i + c] = bars_[slot_of(c, moving_numbers, p)];
-                out.velocity0[3 * i + c] = v_bar_[c * size + p];
+                if (!out.velocity0.empty()) {
+                    out.velocity0[3 * i + c] = v_bar_[c * size + p];
+                }
             }
             for (std::size_t k = 0; i < count && k < 9; ++k) {
                 out.deformation0[9 * i + k] = bars_[slot_of(3 + k, moving_numbers, p)];
@@ -536,7 +553,7 @@ class MlsMpmReverse {
     bool keep_ = false;
     int kept_ = 0;
     std::shared_ptr<const MlsOrder<T>> bar_order_;
-    std::vector<T> bars_;                            // of what moves, laid out like it
+    Buffer<T> bars_;                              // of what moves, laid out like it
     std::vector<T> v_bar_, c_bar_, history_bar_;  // (numbers, size)
     std::vector<T> bar_grid_;  // bars of {px, py, pz, m} at the state above
     Box bar_box_;

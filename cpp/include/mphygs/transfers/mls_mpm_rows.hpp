@@ -51,24 +51,17 @@ struct RowWeights {
 /// where it is wanted.
 template <class T>
 inline void finish_gather(const T* sums, const T (*s)[tile_size], const std::array<int, 3>& axis, MlsTile<T, 0>& tile, T* fourth) {
-    for (std::size_t p = 0; p < tile_size; p += 16) {
-        T* to[16] = {};
+    for (std::size_t p = 0; p < tile_size; p += MlsVector<T>::wide_count) {
+        const Columns<T> sum = columns_of(sums + 16 * p);
         for (std::size_t c = 0; c < 3; ++c) {
-            to[c] = &tile.q[0][c][p];
+            write(&tile.q[0][c][p], sum.at[0][c]);
             for (std::size_t e = 0; e < 3; ++e) {
-                to[4 * (e + 1) + c] = &tile.n[0][3 * c + static_cast<std::size_t>(axis[e])][p];
+                const Wide<T> moment = sum.at[e + 1][c] - sum.at[0][c] * read<Wide<T>>(&s[e][p]);
+                write(&tile.n[0][3 * c + static_cast<std::size_t>(axis[e])][p], moment);
             }
         }
-        to[3] = fourth ? fourth + p : nullptr;
-        transpose_rows<T>(sums + 16 * p, 16, to);
-    }
-    for (std::size_t p = 0; p < tile_size; p += MlsVector<T>::wide_count) {
-        for (std::size_t e = 0; e < 3; ++e) {
-            const Wide<T> distance = read<Wide<T>>(&s[e][p]);
-            for (std::size_t c = 0; c < 3; ++c) {
-                T* n = &tile.n[0][3 * c + static_cast<std::size_t>(axis[e])][p];
-                write(n, read<Wide<T>>(n) - read<Wide<T>>(&tile.q[0][c][p]) * distance);
-            }
+        if (fourth) {
+            write(fourth + p, sum.at[0][3]);
         }
     }
 }
@@ -110,28 +103,17 @@ inline void gather_rows(MlsTile<T, 0>& tile, const T* grid, const std::array<int
 /// columns of n by memory axis.
 template <class T>
 inline void given_rows(const MlsTile<T, 0>& tile, const std::array<int, 3>& axis, T* rows) {
-    alignas(64) T columns[16][tile_size];
     for (std::size_t p = 0; p < tile_size; p += MlsVector<T>::wide_count) {
+        Columns<T> given{};
         for (std::size_t c = 0; c < 3; ++c) {
-            Wide<T> q = read<Wide<T>>(&tile.q[0][c][p]);
+            given.at[0][c] = read<Wide<T>>(&tile.q[0][c][p]);
             for (std::size_t e = 0; e < 3; ++e) {
-                const Wide<T> n = read<Wide<T>>(&tile.n[0][3 * c + static_cast<std::size_t>(axis[e])][p]);
-                q -= n * read<Wide<T>>(&tile.s[0][e][p]);
-                write(&columns[4 * (e + 1) + c][p], n);
+                given.at[e + 1][c] = read<Wide<T>>(&tile.n[0][3 * c + static_cast<std::size_t>(axis[e])][p]);
+                given.at[0][c] -= given.at[e + 1][c] * read<Wide<T>>(&tile.s[0][e][p]);
             }
-            write(&columns[c][p], q);
         }
-        write(&columns[3][p], read<Wide<T>>(&tile.mass[0][p]));
-        for (std::size_t e = 1; e < 4; ++e) {
-            write(&columns[4 * e + 3][p], Wide<T>{});
-        }
-    }
-    for (std::size_t p = 0; p < tile_size; p += 16) {
-        T* to[16];
-        for (std::size_t i = 0; i < 16; ++i) {
-            to[i] = rows + 16 * (p + i);
-        }
-        transpose_rows<T>(&columns[0][p], tile_size, to);
+        given.at[0][3] = read<Wide<T>>(&tile.mass[0][p]);
+        write_rows(rows + 16 * p, given);
     }
 }
 

@@ -26,25 +26,55 @@ struct TileSlope {
 template <class T>
 inline void finish_slope(const T* sums, const MlsTile<T, 0>& given, const T (*value)[tile_size], const std::array<int, 3>& axis,
                          TileSlope<T>& slope) {
-    alignas(64) T columns[12][tile_size];
-    for (std::size_t p = 0; p < tile_size; p += 16) {
-        T* to[16] = {};
-        for (std::size_t j = 0; j < 12; ++j) {
-            to[j] = &columns[j][p];
-        }
-        transpose_rows<T>(sums + 16 * p, 16, to);
-    }
     using W = Wide<T>;
     for (std::size_t p = 0; p < tile_size; p += MlsVector<T>::wide_count) {
+        const Columns<T> sum = columns_of(sums + 16 * p);
         for (std::size_t e = 0; e < 3; ++e) {
-            const auto sum = [&](std::size_t j) { return read<W>(&columns[4 * e + j][p]); };
-            W total = (sum(0) + sum(1)) + (sum(2) + sum(3));
+            W total = (sum.at[e][0] + sum.at[e][1]) + (sum.at[e][2] + sum.at[e][3]);
             for (std::size_t c = 0; c < 3; ++c) {
                 total -= read<W>(&given.n[0][3 * c + static_cast<std::size_t>(axis[e])][p]) * read<W>(&value[c][p]);
             }
             write(&slope.by[e][p], total);
         }
     }
+}
+
+/// The nine rows of a cell.
+template <class R>
+struct NineRows {
+    R r00, r01, r02, r10, r11, r12, r20, r21, r22;
+};
+template <class R, class T>
+[[gnu::always_inline]] inline NineRows<R> nine_rows(const T* a, std::ptrdiff_t row, std::ptrdiff_t plane) {
+    const T* b = a + plane;
+    const T* c = b + plane;
+    return {read<R>(a), read<R>(a + row), read<R>(a + 2 * row), read<R>(b), read<R>(b + row),
+            read<R>(b + 2 * row), read<R>(c), read<R>(c + row), read<R>(c + 2 * row)};
+}
+
+/// Sums of e = R Y with the slopes of the weights, for particle p: {slow, middle, fast} of four
+/// numbers each. Weights add up to 1 and slopes to 0: sums are of differences from the middle node.
+template <class T>
+[[gnu::always_inline]] inline Row<T> slope_sums(const NineRows<Row<T>>& r, const T* given, const RowWeights<T>& w, const RowSlopes<T>& d,
+                                                std::size_t p) {
+    using R = Row<T>;
+    constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
+    const R y = read<R>(given);
+    const R y0 = repeat<0>(y) + repeat<3>(y) * sign, ya = repeat<1>(y), yb = repeat<2>(y);
+    const R ym = y0 - ya, yp = y0 + ya;
+    const T am = w.slow[0][p], ap = w.slow[2][p], dm = d.cross[0][0][p], dp = d.cross[0][2][p];
+    const R c0 = r.r10 * (y0 - yb), m0 = r.r00 * (ym - yb) - c0, p0 = r.r20 * (yp - yb) - c0;
+    const R c1 = r.r11 * y0, m1 = r.r01 * ym - c1, p1 = r.r21 * yp - c1;
+    const R c2 = r.r12 * (y0 + yb), m2 = r.r02 * (ym + yb) - c2, p2 = r.r22 * (yp + yb) - c2;
+    const R t1 = c1 + (am * m1 + ap * p1), u1 = dm * m1 + dp * p1;
+    const R tm = (c0 + (am * m0 + ap * p0)) - t1, um = (dm * m0 + dp * p0) - u1;
+    const R tp = (c2 + (am * m2 + ap * p2)) - t1, up = (dm * m2 + dp * p2) - u1;
+    const T bm = w.middle[0][p], bp = w.middle[2][p];
+    const R fast = stretch(read<R>(&w.fast[4 * p]));
+    const R slow = (u1 + (bm * um + bp * up)) * fast;
+    const R middle = (d.cross[1][0][p] * tm + d.cross[1][2][p] * tp) * fast;
+    const R along = (t1 + (bm * tm + bp * tp)) * stretch(read<R>(&d.fast[4 * p]));
+    return sum_nodes(slow, middle, along, along);
 }
 
 /// Adjoint of the scatter: `out` gathers the bars of q, n and mass from the grid's, and the slope
@@ -58,46 +88,25 @@ inline void reverse_scatter_rows(const MlsTile<T, 0>& given, const T* grid, cons
     alignas(64) T rows[tile_size * 16], values[tile_size * 16], sums[tile_size * 16];
     given_rows<T>(given, axis, rows);
     const std::ptrdiff_t row = 4 * box.count[2], plane = row * box.count[1];
-    R r00{}, r01{}, r02{}, r10{}, r11{}, r12{}, r20{}, r21{}, r22{};
+    NineRows<R> r{};
     std::int32_t current = -1;
-    constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
     for (std::size_t p = 0; p < tile_size; ++p) {
         if (given.corner[p] != current) {
             current = given.corner[p];
-            const T* a = grid + 4 * static_cast<std::ptrdiff_t>(current);
-            const T* b = a + plane;
-            const T* c = b + plane;
-            r00 = read<R>(a), r01 = read<R>(a + row), r02 = read<R>(a + 2 * row);
-            r10 = read<R>(b), r11 = read<R>(b + row), r12 = read<R>(b + 2 * row);
-            r20 = read<R>(c), r21 = read<R>(c + row), r22 = read<R>(c + 2 * row);
+            r = nine_rows<R>(grid + 4 * static_cast<std::ptrdiff_t>(current), row, plane);
         }
         const T am = w.slow[0][p], a0 = w.slow[1][p], ap = w.slow[2][p];
         const T bm = w.middle[0][p], b0 = w.middle[1][p], bp = w.middle[2][p];
         const R fast = stretch(read<R>(&w.fast[4 * p]));
-        {
-            const R m0 = am * r00, m1 = am * r01, m2 = am * r02, p0 = ap * r20, p1 = ap * r21, p2 = ap * r22;
-            const R t0 = a0 * r10 + (m0 + p0), t1 = a0 * r11 + (m1 + p1), t2 = a0 * r12 + (m2 + p2);
-            const R bm0 = bm * t0, bp2 = bp * t2;
-            const R value = (b0 * t1 + (bm0 + bp2)) * fast;
-            const R by_middle = (bp2 - bm0) * fast;
-            const R by_slow = (bm * (p0 - m0) + (b0 * (p1 - m1) + bp * (p2 - m2))) * fast;
-            write(&values[16 * p], sum_nodes(value, by_slow, by_middle, value * sign));
-        }
-        const R y = read<R>(&rows[16 * p]);
-        const R y0 = repeat<0>(y) + repeat<3>(y) * sign, ya = repeat<1>(y), yb = repeat<2>(y);
-        const R ym = y0 - ya, yp = y0 + ya;
-        const T dm = d.cross[0][0][p], d0 = d.cross[0][1][p], dp = d.cross[0][2][p];
-        const R e00 = r00 * (ym - yb), e10 = r10 * (y0 - yb), e20 = r20 * (yp - yb);
-        const R t0 = am * e00 + (a0 * e10 + ap * e20), u0 = dm * e00 + (d0 * e10 + dp * e20);
-        const R e01 = r01 * ym, e11 = r11 * y0, e21 = r21 * yp;
-        const R t1 = am * e01 + (a0 * e11 + ap * e21), u1 = dm * e01 + (d0 * e11 + dp * e21);
-        const R e02 = r02 * (ym + yb), e12 = r12 * (y0 + yb), e22 = r22 * (yp + yb);
-        const R t2 = am * e02 + (a0 * e12 + ap * e22), u2 = dm * e02 + (d0 * e12 + dp * e22);
-        const T em = d.cross[1][0][p], e0 = d.cross[1][1][p], ep = d.cross[1][2][p];
-        const R slow = (bm * u0 + (b0 * u1 + bp * u2)) * fast;
-        const R middle = (em * t0 + (e0 * t1 + ep * t2)) * fast;
-        const R along = (bm * t0 + (b0 * t1 + bp * t2)) * stretch(read<R>(&d.fast[4 * p]));
-        write(&sums[16 * p], sum_nodes(slow, middle, along, along));
+        constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
+        const R m0 = am * r.r00, m1 = am * r.r01, m2 = am * r.r02, p0 = ap * r.r20, p1 = ap * r.r21, p2 = ap * r.r22;
+        const R t0 = a0 * r.r10 + (m0 + p0), t1 = a0 * r.r11 + (m1 + p1), t2 = a0 * r.r12 + (m2 + p2);
+        const R bm0 = bm * t0, bp2 = bp * t2;
+        const R value = (b0 * t1 + (bm0 + bp2)) * fast;
+        const R by_middle = (bp2 - bm0) * fast;
+        const R by_slow = (bm * (p0 - m0) + (b0 * (p1 - m1) + bp * (p2 - m2))) * fast;
+        write(&values[16 * p], sum_nodes(value, by_slow, by_middle, value * sign));
+        write(&sums[16 * p], slope_sums<T>(r, &rows[16 * p], w, d, p));
     }
     finish_gather<T>(values, given.s[0], axis, out, out.mass[0]);
     finish_slope<T>(sums, given, out.q[0], axis, slope);
@@ -114,37 +123,14 @@ inline void reverse_gather_rows(const MlsTile<T, 0>& bars, const T (*velocity)[t
     alignas(64) T rows[tile_size * 16], sums[tile_size * 16];
     given_rows<T>(bars, axis, rows);
     const std::ptrdiff_t row = 4 * box.count[2], plane = row * box.count[1];
-    R r00{}, r01{}, r02{}, r10{}, r11{}, r12{}, r20{}, r21{}, r22{};
+    NineRows<R> r{};
     std::int32_t current = -1;
-    constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
     for (std::size_t p = 0; p < tile_size; ++p) {
         if (bars.corner[p] != current) {
             current = bars.corner[p];
-            const T* a = grid + 4 * static_cast<std::ptrdiff_t>(current);
-            const T* b = a + plane;
-            const T* c = b + plane;
-            r00 = read<R>(a), r01 = read<R>(a + row), r02 = read<R>(a + 2 * row);
-            r10 = read<R>(b), r11 = read<R>(b + row), r12 = read<R>(b + 2 * row);
-            r20 = read<R>(c), r21 = read<R>(c + row), r22 = read<R>(c + 2 * row);
+            r = nine_rows<R>(grid + 4 * static_cast<std::ptrdiff_t>(current), row, plane);
         }
-        const T am = w.slow[0][p], a0 = w.slow[1][p], ap = w.slow[2][p];
-        const T bm = w.middle[0][p], b0 = w.middle[1][p], bp = w.middle[2][p];
-        const R y = read<R>(&rows[16 * p]);
-        const R y0 = repeat<0>(y) + repeat<3>(y) * sign, ya = repeat<1>(y), yb = repeat<2>(y);
-        const R ym = y0 - ya, yp = y0 + ya;
-        const T dm = d.cross[0][0][p], d0 = d.cross[0][1][p], dp = d.cross[0][2][p];
-        const R e00 = r00 * (ym - yb), e10 = r10 * (y0 - yb), e20 = r20 * (yp - yb);
-        const R t0 = am * e00 + (a0 * e10 + ap * e20), u0 = dm * e00 + (d0 * e10 + dp * e20);
-        const R e01 = r01 * ym, e11 = r11 * y0, e21 = r21 * yp;
-        const R t1 = am * e01 + (a0 * e11 + ap * e21), u1 = dm * e01 + (d0 * e11 + dp * e21);
-        const R e02 = r02 * (ym + yb), e12 = r12 * (y0 + yb), e22 = r22 * (yp + yb);
-        const R t2 = am * e02 + (a0 * e12 + ap * e22), u2 = dm * e02 + (d0 * e12 + dp * e22);
-        const T em = d.cross[1][0][p], e0 = d.cross[1][1][p], ep = d.cross[1][2][p];
-        const R fast = stretch(read<R>(&w.fast[4 * p]));
-        const R slow = (bm * u0 + (b0 * u1 + bp * u2)) * fast;
-        const R middle = (em * t0 + (e0 * t1 + ep * t2)) * fast;
-        const R along = (bm * t0 + (b0 * t1 + bp * t2)) * stretch(read<R>(&d.fast[4 * p]));
-        write(&sums[16 * p], sum_nodes(slow, middle, along, along));
+        write(&sums[16 * p], slope_sums<T>(r, &rows[16 * p], w, d, p));
     }
     finish_slope<T>(sums, bars, velocity, axis, slope);
     scatter_given<T>(bars, w, rows, bar_grid, box);

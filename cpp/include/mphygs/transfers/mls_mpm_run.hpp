@@ -22,7 +22,6 @@ class MlsMpmRun {
     using S = PackScalar<T, K>;
     using P = Pack<T>;
     static constexpr int lanes = K + 1;
-    static constexpr int start_rounds = 4;  // that find C_0
 
     MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule)
         : model_(model), inputs_(inputs), table_(schedule), forces_(model, inputs, table_),
@@ -38,14 +37,17 @@ class MlsMpmRun {
         }
         const Box box = reach();
         start_affine_.assign(static_cast<std::size_t>(lanes) * 9 * size(), T{});
-        for (int round = 0; round <= start_rounds; ++round) {
-            start_round(box, round > 0, round == start_rounds);
+        for (int round = 0; round <= start_rounds(); ++round) {
+            start_round(box, round > 0, round == start_rounds());
         }
         for (std::vector<T>* done : {&start_velocity_, &start_affine_}) {
             done->clear();
             done->shrink_to_fit();
         }
     }
+
+    /// Rounds that find C_0; none where the motion starts from rest.
+    int start_rounds() const { return inputs_.primal->velocity0.empty() ? 0 : 4; }
 
     /// Scatters the initial velocities with what is known of C_0, after improving it from the grid
     /// of the round before. A linear field is its fixed point, also at the surface.
@@ -67,9 +69,19 @@ class MlsMpmRun {
         }
     }
 
-    /// Substep `n`: from state n to state n + 1.
-    void step(int n) {
+    /// Substep `n`: from state n to state n + 1. `record`: keeps state n as it was.
+    void step(int n, MlsState<T>* record = nullptr) {
         prepare(n);
+        from_ = &state_.moving;
+        if (record) {
+            record->order = state_.order;
+            record->history = state_.history;
+            record->box = state_.box;
+            record->ranges = state_.ranges;
+            record->moving = std::move(state_.moving);
+            from_ = &record->moving;
+            state_.moving = model_.workspace_->moving.take(record->moving.size());
+        }
         const bool forces = n + 1 < table_.count();
         const bool output = table_.is_frame(n + 1);
         const T h = static_cast<T>(table_.dt[static_cast<std::size_t>(n)]);
@@ -87,6 +99,10 @@ class MlsMpmRun {
         });
         stop_if_failed(n);
         state_.ranges = std::move(ranges);
+        if (record) {
+            record->grid = std::move(state_.grid);
+            state_.grid = model_.workspace_->grid.take(record->grid.size());
+        }
         if (forces) {
             grids_.reduce(next, state_.ranges, model_.settings_.threads, state_.grid);
             state_.box = next;
@@ -137,7 +153,7 @@ class MlsMpmRun {
             for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
                 ParticlePoint<S> points[tile_packs];
                 for (int k = 0; k < tile_packs; ++k) {
-                    points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count));
+                    points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count), state_.moving);
                     locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
                 }
                 gather_tile<T, K>(tile, state_.grid.data(), numbers, model_.axis_, box);
@@ -280,8 +296,8 @@ class MlsMpmRun {
         permute_columns(velocity_, from);
         state_.order = std::make_shared<MlsOrder<T>>(model_, inputs_, std::move(ids));
     }
-    static void permute_moving(std::vector<T>& moving, const std::vector<std::int32_t>& from) {
-        std::vector<T> next(moving.size());
+    static void permute_moving(Buffer<T>& moving, const std::vector<std::int32_t>& from) {
+        Buffer<T> next(moving.size());
         for (std::size_t start = 0; start < moving.size(); start += moving_numbers * from.size()) {
             for (std::size_t p = 0; p < from.size(); ++p) {
                 for (std::size_t k = 0; k < moving_numbers; ++k) {
@@ -343,7 +359,7 @@ class MlsMpmRun {
         return r;
     }
 
-    ParticlePoint<S> load_particles(std::size_t p) const { return load_moving<T, K>(state_.moving.data(), size(), p); }
+    ParticlePoint<S> load_particles(std::size_t p, const Buffer<T>& from) const { return load_moving<T, K>(from.data(), size(), p); }
 
     /// C = 4/h^2 sum w v (x_i - x)^T from the moment in cell units.
     Mat3<S> affine_velocity(const Mat3<S>& moment) const {
@@ -360,7 +376,7 @@ class MlsMpmRun {
     }
 
     ParticlePoint<S> load_start(std::size_t p) const {
-        ParticlePoint<S> point = load_particles(p);
+        ParticlePoint<S> point = load_particles(p, state_.moving);
         const std::size_t n = size();
         for (int l = 0; l < lanes; ++l) {
             const std::size_t lane = static_cast<std::size_t>(l);
@@ -414,20 +430,20 @@ class MlsMpmRun {
         tile.set_n(pack, (static_cast<T>(model_.geometry_.spacing) * mass) * point.c);
     }
 
-    PlainPass<T> plain_pass(T h, bool forces, bool output) {
-        return {state_.moving.data(), output ? velocity_.data() : nullptr, size(), inverse_spacing_, h, forces, forces_.dt(),
+    PlainPass<T> plain_pass(T h, bool forces) const {
+        return {size(), inverse_spacing_, h, forces, forces_.dt(),
                 {forces_.gravity(0), forces_.gravity(1), forces_.gravity(2)}};
     }
     /// Stands a tile where its particles are; they are known to be inside.
-    void stand_tile(MlsTile<T, 0>& tile, const MlsState<T>& state, std::size_t first, const CellRange& inside) const {
+    void stand_tile(MlsTile<T, 0>& tile, const Buffer<T>& from, const Box& box, std::size_t first, const CellRange& inside) const {
         using W = Wide<T>;
         SeenRange<W> ignored;
         for (std::size_t k = 0; k < tile_size; k += MlsVector<T>::wide_count) {
             W scaled[3];
             for (std::size_t c = 0; c < 3; ++c) {
-                scaled[c] = read<W>(&state.moving[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, first + k)]) * inverse_spacing_;
+                scaled[c] = read<W>(&from[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, first + k)]) * inverse_spacing_;
             }
-            stand<W, T>(scaled, static_cast<int>(k), tile.s[0], tile.corner, state.box, inside, ignored);
+            stand<W, T>(scaled, static_cast<int>(k), tile.s[0], tile.corner, box, inside, ignored);
         }
     }
 
@@ -443,10 +459,11 @@ class MlsMpmRun {
         for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
             if constexpr (K == 0) {
                 if (plain && forces_.plain_tile(*state_.order, t)) {
-                    stand_tile(tile, state_, t, now);
+                    stand_tile(tile, *from_, state_.box, t, now);
                     gather_rows<T>(tile, state_.grid.data(), model_.axis_, state_.box);
-                    const PlainPass<T> pass = plain_pass(h, forces, output);
-                    const long failed = mphygs::plain_tile<T>(tile, t, pass, *state_.order, model_.axis_, next, then, seen_wide);
+                    const PlainPass<T> pass = plain_pass(h, forces);
+                    const long failed = mphygs::plain_tile<T>(tile, t, pass, from_->data(), state_.moving.data(), output ? velocity_.data() : nullptr,
+                                                                *state_.order, model_.axis_, next, then, seen_wide);
                     failed_[c] = failed_[c] < 0 ? failed : failed_[c];
                     if (forces) {
                         scatter_rows<T>(tile, out, model_.axis_, next);
@@ -456,7 +473,7 @@ class MlsMpmRun {
             }
             ParticlePoint<S> points[tile_packs];
             for (int k = 0; k < tile_packs; ++k) {
-                points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count));
+                points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count), *from_);
                 locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, state_.box, now, ignored);
             }
             gather_tile<T, K>(tile, state_.grid.data(), 4 * state_.box.nodes(), model_.axis_, state_.box);
@@ -558,6 +575,7 @@ class MlsMpmRun {
     MlsForces<T, K> forces_;
     T inverse_spacing_;
     MlsState<T> state_;
+    const Buffer<T>* from_ = nullptr;  // what moves, before the pass
     std::vector<T> velocity_, start_velocity_, start_affine_;  // (lanes, 3 or 9, size)
     MlsGrids<T> grids_;
     std::vector<long> failed_;  // per chunk, first particle that left its limits, -1: none

@@ -2,6 +2,9 @@
 #pragma once
 
 #include <memory>
+#include <mutex>
+#include <new>
+#include <utility>
 
 #include "mphygs/transfers/mls_mpm.hpp"
 
@@ -127,14 +130,70 @@ MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::v
     }
 }
 
+/// Vectors whose new elements are not set: what a pass writes whole.
+template <class T>
+struct Unset : std::allocator<T> {
+    template <class U>
+    struct rebind {
+        using other = Unset<U>;
+    };
+    template <class U>
+    void construct(U* p) {
+        ::new (static_cast<void*>(p)) U;
+    }
+    template <class U, class... A>
+    void construct(U* p, A&&... a) {
+        ::new (static_cast<void*>(p)) U(std::forward<A>(a)...);
+    }
+};
+template <class T>
+using Buffer = std::vector<T, Unset<T>>;
+
+/// Buffers of the adjoint's records, kept by the model from one gradient to the next: fresh memory
+/// costs more than the substep that fills it.
+template <class T>
+class MlsPool {
+  public:
+    Buffer<T> take(std::size_t size) {
+        Buffer<T> b;
+        {
+            const std::lock_guard<std::mutex> lock(mutex_);
+            if (!free_.empty()) {
+                b = std::move(free_.back());
+                free_.pop_back();
+            }
+        }
+        if (b.capacity() < size) {
+            b = Buffer<T>();
+            b.reserve(size + size / 4);  // grids grow
+        }
+        b.resize(size);
+        return b;
+    }
+    void give(Buffer<T>&& b) {
+        if (b.capacity() > 0) {
+            const std::lock_guard<std::mutex> lock(mutex_);
+            free_.push_back(std::move(b));
+        }
+    }
+
+  private:
+    std::mutex mutex_;
+    std::vector<Buffer<T>> free_;
+};
+template <class T>
+struct MlsWorkspace {
+    MlsPool<T> moving, grid;
+};
+
 /// State n of a run: the particles at n and the velocities {vx, vy, vz, m} of the grid at n, ready
 /// to be gathered. History is that of the effects after their forces at n.
 template <class T>
 struct MlsState {
     std::shared_ptr<const MlsOrder<T>> order;
-    std::vector<T> moving;   // (lanes, groups, 12, 16): x from the anchor [m], F
+    Buffer<T> moving;        // (lanes, groups, 12, 16): x from the anchor [m], F
     std::vector<T> history;  // (lanes, numbers, size)
-    std::vector<T> grid;     // (lanes, nodes, 4)
+    Buffer<T> grid;          // (lanes, nodes, 4)
     Box box;
     std::vector<CellRange> ranges;  // of each chunk
 };
