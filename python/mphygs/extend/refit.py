@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,8 @@ from mphygs.simulate.errors import SimulationError
 # Frames of one block of the bootstrap on unseen frames: errors within one swing hang together.
 BLOCK_FRAMES = 8
 STRENGTHS = (0.5, 1.0, 2.0)
+# Of the substep without the effect: no refit starts with less.
+SHORTEST_SUBSTEP = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,17 @@ def _scaled(entry: Entry, belief: Belief, strength: float) -> Belief:
             out = out.with_parameter(parameter.key, value=value)
     # What was fitted so far stays where the fit left it.
     fitted = {p.key: p.value for p in belief.parameters}
-    return replace(out, parameters=tuple(replace(p, value=fitted.get(p.key, p.value)) for p in out.parameters))
+    parameters = []
+    for p in out.parameters:
+        if p.key in fitted:
+            p = replace(p, value=fitted[p.key])
+        elif p.free and not p.log and p.lower == 0.0 and not math.isfinite(p.prior_std):
+            # A strength that cannot be negative is fitted in its logarithm: far from the data a linear step
+            # overshoots by orders of magnitude.
+            lower = 1e-6 * p.scale
+            p = replace(p, log=True, lower=lower, value=max(p.value, 1e-2 * p.scale))
+        parameters.append(p)
+    return replace(out, parameters=tuple(parameters))
 
 
 def start_refit(
@@ -78,8 +91,15 @@ def start_refit(
     problem = experiment.problem(spacing)
     strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
     best, best_cost = None, np.inf
+    predictor = next(iter(problem.predictors.values()))
+    longest = predictor.stable_substep(before.belief)
     for strength in strengths:
         start = _scaled(entry, before.belief, strength)
+        # Far from the data the linear estimate can be many times too strong, and a strong viscosity needs
+        # short substeps: start weaker, the iterations find the way.
+        while entry.kind != "threshold" and predictor.stable_substep(start) < SHORTEST_SUBSTEP * longest and strength > 1e-3:
+            strength *= 0.5
+            start = _scaled(entry, before.belief, strength)
         try:
             cost = problem.evaluate(start, jacobian=False).cost
         except SimulationError:

@@ -16,6 +16,10 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
 
+# Of the present substep: no single step of the optimiser may shorten it more.
+SHORTEST_SUBSTEP = 0.4
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """belief: at the minimum; evaluation: there, with Jacobian; history: cost after every iteration."""
@@ -81,6 +85,7 @@ def minimise(
         gradient = current.jacobian.T @ current.residual
         diagonal = np.maximum(np.diag(normal), 1e-12)
         accepted = False
+        substep = problem.stable_substep(belief)
         for _ in range(10):
             step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
             largest = np.abs(step).max(initial=0.0)
@@ -94,6 +99,13 @@ def minimise(
                 converged, reason = True, "converged"
                 break
             trial_belief = belief.at(belief.coordinates + step)
+            # A step far beyond the linear model may ask for a hopelessly short substep: go there in stages.
+            for _halving in range(12):
+                if problem.stable_substep(trial_belief) >= SHORTEST_SUBSTEP * substep:
+                    break
+                step = 0.5 * step
+                trial_belief = belief.at(belief.coordinates + step)
+            promised = -float(gradient @ step + 0.5 * step @ normal @ step)
             try:
                 trial = problem.evaluate(trial_belief, jacobian=False)
             except SimulationError:

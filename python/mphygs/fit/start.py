@@ -11,7 +11,10 @@ from mphygs.model.belief import Belief, Parameter
 
 # Soft tissue and plants to hard rubber; a prior this wide moves no number that the data determine.
 YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD = 1e5, 2.5
-DENSITY_SPREAD = 0.7
+DENSITY_SPREAD = 0.5
+# Where a density or the mass is known, the other parts are within this factor of it: a model that lacks
+# an effect would otherwise buy it with absurd inertia.
+DENSITY_FACTOR = 4.0
 DEFAULT_POISSONS_RATIO = 0.4
 DEFAULT_DENSITY = 1000.0
 # How far the true start of a motion may be from the stated release [frames].
@@ -36,6 +39,10 @@ def starting_belief(capture: Capture, *, effects: tuple[str, ...] = (), prestres
         free_volume = sum(v for n, v in volume.items() if n not in known.density)
         if free_volume > 0 and rest > 0:
             guess = rest / free_volume
+    informed = bool(known.density) or known.mass is not None
+    density_bounds = (guess / DENSITY_FACTOR, guess * DENSITY_FACTOR) if informed else (5.0, 3e4)
+    stated = list(known.density.values())
+    density_bounds = (min([density_bounds[0], *stated]), max([density_bounds[1], *stated]))
     parameters = []
     for part in capture.parts:
         ratio = known.poissons_ratio
@@ -47,7 +54,7 @@ def starting_belief(capture: Capture, *, effects: tuple[str, ...] = (), prestres
                 prior_mean=math.log(YOUNGS_MODULUS_MEDIAN), prior_std=YOUNGS_MODULUS_SPREAD,
             ),
             Parameter(
-                f"{part.name}.density", known.density.get(part.name, guess), "kg/m^3", 1.0, 3e4, log=True,
+                f"{part.name}.density", known.density.get(part.name, guess), "kg/m^3", *density_bounds, log=True,
                 free=part.name not in known.density, prior_mean=math.log(guess), prior_std=DENSITY_SPREAD,
             ),
             Parameter(f"{part.name}.poissons_ratio", DEFAULT_POISSONS_RATIO if ratio is None else ratio, "-", 0.0, 0.4995, free=False),
