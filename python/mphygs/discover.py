@@ -12,6 +12,7 @@ from typing import Annotated
 
 import tyro
 
+from mphygs.capture.format import load_capture
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.__main__ import diagnosis_document, known_effects
@@ -23,6 +24,7 @@ from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
+from mphygs.fit.schedule import screening_spacing
 
 PROGRAM = "mphygs discover"
 # The first model's fit, kept inside the run folder.
@@ -45,7 +47,7 @@ class DiscoverOptions(CommonOptions):
     frames: Annotated[str | None, tyro.conf.arg(metavar="i:j")] = None
     """Frames to fit, i to j - 1, instead of those that the capture states."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
-    """Grid spacing [m]; default: from the object's volume."""
+    """Grid spacing [m]; default: 1.7 times that of fit, for many models are tried."""
     plugin: Path | None = None
     """Python file that registers effects of your own: candidates like any other."""
     seed: int = 0
@@ -71,6 +73,8 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         for stale in (DOCUMENT, DIAGNOSIS, "run.json"):
             (out / stale).unlink(missing_ok=True)
     given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
+    if options.spacing is None and options.capture is not None:
+        given["spacing"] = screening_spacing(load_capture(options.capture))
     resume_fit = options.resume and (first / "run.json").is_file()
     state, capture = fitted(FitOptions(**(given | {"out": first, "resume": resume_fit})), console)
     console.resume = f"{PROGRAM} {shlex.quote(str(state.capture))} --out {shlex.quote(str(out))} --resume"

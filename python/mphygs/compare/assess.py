@@ -76,10 +76,15 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
         used = seen | ((frame >= item.predict[0]) & (frame < item.predict[1]))
         parts.append(
             (
-                rows[used], jacobian[used], whitener.whiten(refinement[window])[used],
-                item.part[whitener.marker][used], frame[used], np.full(int(used.sum()), number), seen[used],
+                rows[used],
+                jacobian[used],
+                whitener.whiten(refinement[window])[used],
+                item.part[whitener.marker][used],
+                frame[used],
+                np.full(int(used.sum()), number),
+                seen[used],
             )
-        )  # fmt: skip
+        )
     joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
     return Whitened(*joined, tuple(compared))
 
@@ -124,7 +129,9 @@ def discretisation_allowance(whitened: Whitened) -> Allowance:
     columns = []
     for number in range(len(whitened.names)):
         mine = whitened.sequence == number
-        block = modulated_directions(whitened.refinement[mine], whitened.part[mine], whitened.frame[mine], count=MODULATIONS)
+        block = modulated_directions(
+            whitened.refinement[mine], whitened.part[mine], whitened.frame[mine], count=MODULATIONS
+        )
         full = np.zeros((len(mine), block.shape[1]))
         full[mine] = block
         columns.append(full)
@@ -154,7 +161,9 @@ def assess(
     names = [part for _ in whitened.names for part in part_names]
     blocks = part_time_blocks(label, whitened.frame, names=names, length=block_frames)
     degrees = min((c.observation.noise.scale_degrees for c in compared.values()), default=np.inf)
-    floor = floor_test(whitened.residual, whitened.jacobian, blocks, allowance=allowance, noise_degrees=degrees, level=level)
+    floor = floor_test(
+        whitened.residual, whitened.jacobian, blocks, allowance=allowance, noise_degrees=degrees, level=level
+    )
     found = ratios(whitened)
     worst = max(v for ranges in found.values() for v in ranges.values())
     sigma = float(np.sqrt(np.mean([c.observation.sigma**2 for c in compared.values()])))
@@ -180,7 +189,13 @@ def _where(whitened: Whitened, parts: tuple[str, ...], centers: np.ndarray, sigm
     for p, name in enumerate(parts):
         rows = whitened.residual[whitened.part == p]
         if len(rows) and np.mean(rows**2) > chi2.isf(1e-3 / len(parts), len(rows)) / len(rows):
-            found.append({"part": name, "center": [float(x) for x in centers[p]], "rms": _excess(rows) * sigma * np.sqrt(3.0)})
+            found.append(
+                {
+                    "part": name,
+                    "center": [float(x) for x in centers[p]],
+                    "rms": _excess(rows) * sigma * np.sqrt(3.0),
+                }
+            )
     return sorted(found, key=lambda item: -item["rms"])
 
 
@@ -195,7 +210,13 @@ def _when(whitened: Whitened, sigma: float, length: int) -> list[dict]:
             rows = whitened.residual[mine][(frames >= first) & (frames < first + length)]
             if len(rows) and np.mean(rows**2) > chi2.isf(1e-3 / len(edges), len(rows)) / len(rows):
                 last = int(min(first + length, frames.max() + 1))
-                found.append({"sequence": name, "frames": [int(first), last], "rms": _excess(rows) * sigma * np.sqrt(3.0)})
+                found.append(
+                    {
+                        "sequence": name,
+                        "frames": [int(first), last],
+                        "rms": _excess(rows) * sigma * np.sqrt(3.0),
+                    }
+                )
     return sorted(found, key=lambda item: -item["rms"])
 
 

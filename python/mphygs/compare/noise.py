@@ -74,7 +74,9 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 mine = attachment.hold[index] == h
                 rotation, shift = hold.poses(times, recording.fps)
                 at = (attachment.anchor + attachment.offset)[index[mine]]
-                rest[:, mine] = position[:, index[mine]] - np.einsum("tij,mj->tmi", rotation, at) - shift[:, None]
+                rest[:, mine] = (
+                    position[:, index[mine]] - np.einsum("tij,mj->tmi", rotation, at) - shift[:, None]
+                )
             what = "markers on what is held"
     sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
     if rest is None or rest.shape[1] == 0:

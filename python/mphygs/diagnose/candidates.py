@@ -34,7 +34,15 @@ class Way:
     values: dict
 
 
-def _way(belief: Belief, name: str, label: str, wanted: Sequence[str], *, values: dict | None = None, settings: dict | None = None) -> Way:
+def _way(
+    belief: Belief,
+    name: str,
+    label: str,
+    wanted: Sequence[str],
+    *,
+    values: dict | None = None,
+    settings: dict | None = None,
+) -> Way:
     extended = belief.with_effect(name, values, settings) if values or settings else with_effect(belief, name)
     parameters = [extended[f"{name}.{q}"] for q in wanted]
     bounded = np.array([p.lower >= p.value for p in parameters])
@@ -71,8 +79,14 @@ def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = Non
 
     if "gravity" in wanted:
         add("gravity", "gravity", [f"delta_g_{a}" for a in "xyz"])
-    for name, parameter in (("viscosity", "eta"), ("mass_damping", "alpha"), ("air_drag", "c_d"), ("stiffening", "c_2"),
-                            ("eigenstrain", "rate"), ("hold_compliance", "compliance")):  # fmt: skip
+    for name, parameter in (
+        ("viscosity", "eta"),
+        ("mass_damping", "alpha"),
+        ("air_drag", "c_d"),
+        ("stiffening", "c_2"),
+        ("eigenstrain", "rate"),
+        ("hold_compliance", "compliance"),
+    ):
         if name in wanted and (name != "hold_compliance" or body.geometry.get("hold_count")):
             add(name, name, [parameter])
     if "compressibility" in wanted:
@@ -106,10 +120,21 @@ def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = Non
             at = ", ".join(f"{x:.3f}" for x in place)
             columns = []
             for step in (np.zeros(3), *np.eye(3)):
-                anchor = dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place + size * step), strict=True))
-                columns += _way(belief, "tether", "", ["k"], values=anchor, settings={"place": place.tolist()}).columns
+                anchor = dict(
+                    zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place + size * step), strict=True)
+                )
+                columns += _way(
+                    belief, "tether", "", ["k"], values=anchor, settings={"place": place.tolist()}
+                ).columns
             ways.append(
-                Way("tether", f"tether at ({at})", tuple(columns), np.zeros(4, bool), {"place": place.tolist(), "size": size}, {})
+                Way(
+                    "tether",
+                    f"tether at ({at})",
+                    tuple(columns),
+                    np.zeros(4, bool),
+                    {"place": place.tolist(), "size": size},
+                    {},
+                )
             )
     for name in ("stiffness_gradient", "density_gradient"):
         if name in wanted:
@@ -118,7 +143,9 @@ def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = Non
                 for k in range(3):
                     settings = {"part": part, "axis": np.eye(3)[k].tolist()}
                     columns += _way(belief, name, "", ["slope"], settings=settings).columns
-                ways.append(Way(name, f"{name} of {part}", tuple(columns), np.zeros(3, bool), {"part": part}, {}))
+                ways.append(
+                    Way(name, f"{name} of {part}", tuple(columns), np.zeros(3, bool), {"part": part}, {})
+                )
     for name in ("time_offset", "length_scale", "frame_drift"):
         if name in wanted:
             ways.append(_way(belief, name, name, [p.name for p in effects()[name].fitted]))
@@ -136,8 +163,19 @@ def base_motion_ways(belief: Belief, frequencies: Sequence[float]) -> list[Way]:
     for f in frequencies:
         columns = []
         for phase in (0.0, float(np.pi / 2)):
-            columns += _way(belief, "base_motion", "", ["a_x", "a_y", "a_z"], values={"f": float(f), "phase": phase}).columns
-        ways.append(Way("base_motion", f"base_motion at {f:.3g} Hz", tuple(columns), np.zeros(6, bool), {}, {"f": float(f)}))
+            columns += _way(
+                belief, "base_motion", "", ["a_x", "a_y", "a_z"], values={"f": float(f), "phase": phase}
+            ).columns
+        ways.append(
+            Way(
+                "base_motion",
+                f"base_motion at {f:.3g} Hz",
+                tuple(columns),
+                np.zeros(6, bool),
+                {},
+                {"f": float(f)},
+            )
+        )
     return ways
 
 
@@ -150,7 +188,10 @@ def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
         total = float(estimate.sum())
         anchor = place + size * estimate[1:] / total if abs(total) > 1e-9 else place
         anchor = np.clip(anchor, place - 10 * size, place + 10 * size)
-        values = {"k": max(total, 1e-3), **dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, anchor), strict=True))}
+        values = {
+            "k": max(total, 1e-3),
+            **dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, anchor), strict=True)),
+        }
         extended = belief.with_effect(name, values, {"place": place.tolist()})
         for a in "xyz":
             extended = extended.with_parameter(f"tether.anchor_{a}", free=True, scale=size)
@@ -158,7 +199,9 @@ def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
     if name in ("stiffness_gradient", "density_gradient"):
         slope = float(min(np.linalg.norm(estimate), effects()[name].parameters[0].upper))
         axis = estimate / slope if slope > 0 else np.eye(3)[0]
-        return belief.with_effect(name, {"slope": slope}, {"part": way.settings["part"], "axis": axis.tolist()})
+        return belief.with_effect(
+            name, {"slope": slope}, {"part": way.settings["part"], "axis": axis.tolist()}
+        )
     if name == "base_motion":
         sine, cosine = estimate[:3], estimate[3:]
         # One phase for all axes: that of the largest amplitude.
@@ -167,7 +210,11 @@ def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
         phase = float(np.arctan2(cosine[k], sine[k]))
         a = sine * np.cos(phase) + cosine * np.sin(phase)
         a = np.clip(a, effects()[name].parameters[0].lower, effects()[name].parameters[0].upper)
-        values = {**dict(zip(("a_x", "a_y", "a_z"), map(float, a), strict=True)), **way.values, "phase": phase}
+        values = {
+            **dict(zip(("a_x", "a_y", "a_z"), map(float, a), strict=True)),
+            **way.values,
+            "phase": phase,
+        }
         return belief.with_effect(name, values)
     extended, first = way.columns[0]
     names = [p.key.rsplit(".", 1)[1] for _, p in way.columns]

@@ -70,7 +70,13 @@ def _peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
     return found
 
 
-def _stack(experiment: Experiment, spacing: float, belief: Belief, ways: Sequence[Way], report: Callable[[str], None] | None) -> tuple:
+def _stack(
+    experiment: Experiment,
+    spacing: float,
+    belief: Belief,
+    ways: Sequence[Way],
+    report: Callable[[str], None] | None,
+) -> tuple:
     """Whitened Jacobian columns of all ways over the fitted frames, (N, Q), in the order of the ways."""
     problem = experiment.problem(spacing)
     columns = [pair for way in ways for pair in way.columns]
@@ -101,7 +107,9 @@ def allowance_of(experiment: Experiment, spacing: float, belief: Belief, evaluat
         pieces.append(whitener.whiten(change[first:last] / (1.0 - 1.5**-2)))
         parts.append(problem.predictors[name].attachment.part[whitener.marker] + 1000 * number)
         frames.append(whitener.frame)
-    directions = modulated_directions(np.concatenate(pieces), np.concatenate(parts), np.concatenate(frames), count=MODULATIONS)
+    directions = modulated_directions(
+        np.concatenate(pieces), np.concatenate(parts), np.concatenate(frames), count=MODULATIONS
+    )
     return Allowance(directions=directions[:, np.linalg.norm(directions, axis=0) > 1e-9])
 
 
@@ -133,7 +141,10 @@ def rank(
     body = problem.predictors[first_name].body
     ways = smooth_ways(belief, body, names=names)
     if names is None or "base_motion" in names:
-        misfits = {n: experiment.observations[n].position[a:b] - evaluation.positions[n][a:b] for n, (a, b) in problem.ranges.items()}
+        misfits = {
+            n: experiment.observations[n].position[a:b] - evaluation.positions[n][a:b]
+            for n, (a, b) in problem.ranges.items()
+        }
         fps = experiment.capture.sequence(first_name).fps
         ways += base_motion_ways(belief, _peaks(misfits[first_name], fps, FREQUENCIES))
     tangents, _ = _stack(experiment, spacing, belief, ways, report)
@@ -142,7 +153,9 @@ def rank(
     for way in ways:
         count = len(way.columns)
         columns = tangents[:, at : at + count]
-        candidates.append(Candidate(name=way.label, tangent=columns, lower_bounded=way.bounded, null=np.zeros(count)))
+        candidates.append(
+            Candidate(name=way.label, tangent=columns, lower_bounded=way.bounded, null=np.zeros(count))
+        )
         at += count
     share = allowance or Allowance()
     if share.directions is not None:
@@ -160,36 +173,73 @@ def rank(
     entries = []
     for name, (way, score) in best.items():
         entries.append(_entry(name, way, score, table, family, names_of, belief, rows))
-    entries += _trials(experiment, belief, evaluation, spacing, full_residual, full_jacobian, generator, names, report)
+    entries += _trials(
+        experiment, belief, evaluation, spacing, full_residual, full_jacobian, generator, names, report
+    )
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
     return Ranking(tuple(entries), float(residual @ residual), rows, table)
 
 
 def _entry(
-    name: str, way: Way, score: Score, table: ScoreTable, family: object, names_of: dict[str, str], belief: Belief, rows: int
+    name: str,
+    way: Way,
+    score: Score,
+    table: ScoreTable,
+    family: object,
+    names_of: dict[str, str],
+    belief: Belief,
+    rows: int,
 ) -> Entry:
-    null = np.array([p.value for _, p in way.columns]) if name in ("compressibility",) else np.zeros(len(way.columns))
+    null = (
+        np.array([p.value for _, p in way.columns])
+        if name in ("compressibility",)
+        else np.zeros(len(way.columns))
+    )
     labels = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
     if len(set(labels)) < len(labels):
         labels = [f"{label}_{k}" for k, label in enumerate(labels)]
     estimate = score.estimate + null
     kind = effect(name).kind
     if not score.testable:
-        return Entry(name, way.label, kind, 0.0, 1.0, float(np.sqrt(table.chi_square / rows)), {}, {}, belief, reason=score.reason)
+        return Entry(
+            name,
+            way.label,
+            kind,
+            0.0,
+            1.0,
+            float(np.sqrt(table.chi_square / rows)),
+            {},
+            {},
+            belief,
+            reason=score.reason,
+        )
     tied = {names_of[t.rival] for t in tied_with(table, way.label)} - {name}
     return Entry(
-        name, way.label, kind, float(score.drop), float(family.p_value(score)),
+        name,
+        way.label,
+        kind,
+        float(score.drop),
+        float(family.p_value(score)),
         float(np.sqrt(max(score.expected_chi_square, 0.0) / rows)),
-        dict(zip(labels, map(float, estimate), strict=True)), dict(zip(labels, map(float, score.std), strict=True)),
-        starting_effect(way, estimate, belief), tuple(sorted(tied)),
+        dict(zip(labels, map(float, estimate), strict=True)),
+        dict(zip(labels, map(float, score.std), strict=True)),
+        starting_effect(way, estimate, belief),
+        tuple(sorted(tied)),
         detectable=float(detectable_length(score, level=0.01, family=len(table.scores))),
-    )  # fmt: skip
+    )
 
 
 def _trials(
-    experiment: Experiment, belief: Belief, evaluation: Evaluation, spacing: float, residual: np.ndarray, jacobian: np.ndarray,
-    generator: np.random.Generator, names: Sequence[str] | None, report: Callable[[str], None] | None,
-) -> list[Entry]:  # fmt: skip
+    experiment: Experiment,
+    belief: Belief,
+    evaluation: Evaluation,
+    spacing: float,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    generator: np.random.Generator,
+    names: Sequence[str] | None,
+    report: Callable[[str], None] | None,
+) -> list[Entry]:
     """Threshold effects: the best of a few finite trials each, with the p-value of the best of so many."""
     problem = experiment.problem(spacing)
     name, (_first, last) = next(iter(problem.ranges.items()))
@@ -197,7 +247,9 @@ def _trials(
     groups: dict[str, list[Trial]] = {}
     if names is None or "contact" in names:
         span = slice(0, last)
-        groups["contact"] = contact_trials(belief, evaluation.positions[name][span], observation.position[span], observation.sigma)
+        groups["contact"] = contact_trials(
+            belief, evaluation.positions[name][span], observation.position[span], observation.sigma
+        )
     if names is None or "plasticity" in names:
         groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
     entries = []
@@ -210,18 +262,35 @@ def _trials(
                 moved = problem.evaluate(trial.belief, jacobian=False)
             except SimulationError:
                 continue
-            changes.append(evaluation.residual[: evaluation.data_rows] - moved.residual[: evaluation.data_rows])
+            changes.append(
+                evaluation.residual[: evaluation.data_rows] - moved.residual[: evaluation.data_rows]
+            )
             kept.append(trial)
         if not kept:
             continue
-        matrix = np.vstack([np.stack(changes, axis=1), np.zeros((len(residual) - len(changes[0]), len(kept)))])
+        matrix = np.vstack(
+            [np.stack(changes, axis=1), np.zeros((len(residual) - len(changes[0]), len(kept)))]
+        )
         scores = score_trials(residual, jacobian, matrix, generator=generator)
         trial = kept[scores.best]
-        estimate = {p.key.rsplit(".", 1)[1]: p.value for p in trial.belief.parameters if p.key.startswith(f"{kind}.") and p.free}
+        estimate = {
+            p.key.rsplit(".", 1)[1]: p.value
+            for p in trial.belief.parameters
+            if p.key.startswith(f"{kind}.") and p.free
+        }
         rows = evaluation.data_rows
         expected = max(float(residual @ residual) - scores.drop, 0.0)
         entries.append(
-            Entry(kind, trial.label, "threshold", float(scores.drop), float(scores.p_value),
-                  float(np.sqrt(expected / rows)), estimate, {}, trial.belief)
-        )  # fmt: skip
+            Entry(
+                kind,
+                trial.label,
+                "threshold",
+                float(scores.drop),
+                float(scores.p_value),
+                float(np.sqrt(expected / rows)),
+                estimate,
+                {},
+                trial.belief,
+            )
+        )
     return entries

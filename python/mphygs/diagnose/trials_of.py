@@ -31,7 +31,9 @@ def sphere(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
 
 
-def contact_trials(belief: Belief, predicted: np.ndarray, measured: np.ndarray, sigma: float, *, count: int = 6) -> list[Trial]:
+def contact_trials(
+    belief: Belief, predicted: np.ndarray, measured: np.ndarray, sigma: float, *, count: int = 6
+) -> list[Trial]:
     """Planes that no measured marker ever passed but the prediction does, the most violated first.
 
     predicted, measured: (T, M, 3) [m], NaN where missing; sigma: of a coordinate [m].
@@ -59,14 +61,24 @@ def contact_trials(belief: Belief, predicted: np.ndarray, measured: np.ndarray, 
             break
     trials = []
     for _, limit, n in chosen:
-        values = {"d": limit - 2.0 * sigma, "n_x": float(n[0]), "n_y": float(n[1]), "n_z": float(n[2]), "mu": 0.2}
+        values = {
+            "d": limit - 2.0 * sigma,
+            "n_x": float(n[0]),
+            "n_y": float(n[1]),
+            "n_z": float(n[2]),
+            "mu": 0.2,
+        }
         extended = belief.with_effect("contact", values)
         # The plane has three numbers: the largest component of n stays, the others and d are fitted.
         for k, a in enumerate("xyz"):
             if k != int(np.abs(n).argmax()):
-                extended = extended.with_parameter(f"contact.n_{a}", free=True, scale=0.1, prior_mean=float(n[k]), prior_std=0.5)
+                extended = extended.with_parameter(
+                    f"contact.n_{a}", free=True, scale=0.1, prior_mean=float(n[k]), prior_std=0.5
+                )
         extended = extended.with_parameter("contact.mu", prior_mean=0.3, prior_std=0.5)
-        trials.append(Trial("contact", "plane n = ({:.2f}, {:.2f}, {:.2f}), d = {:.4f} m".format(*n, limit), extended))
+        trials.append(
+            Trial("contact", "plane n = ({:.2f}, {:.2f}, {:.2f}), d = {:.4f} m".format(*n, limit), extended)
+        )
     return trials
 
 
@@ -83,6 +95,8 @@ def plasticity_trials(predictor: Predictor, belief: Belief, last: int) -> list[T
     trials = []
     for share in YIELD_SHARES:
         extended = belief.with_effect("plasticity", {"yield_stress": share * top})
-        extended = extended.with_parameter("plasticity.yield_stress", prior_mean=float(np.log(share * top)), prior_std=2.0)
+        extended = extended.with_parameter(
+            "plasticity.yield_stress", prior_mean=float(np.log(share * top)), prior_std=2.0
+        )
         trials.append(Trial("plasticity", f"yield stress {share * top:.4g} Pa", extended))
     return trials

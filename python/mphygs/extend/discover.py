@@ -83,21 +83,34 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
         count = int((bad & item.observation.observed).sum())
         if count:
             position = np.where(bad[..., None], np.nan, item.observation.position)
-            experiment.observations[name] = Observation(position, item.observation.noise, item.observation.weight)
+            experiment.observations[name] = Observation(
+                position, item.observation.noise, item.observation.weight
+            )
             total += count
     return total
 
 
 def first_fit(
-    experiment: Experiment, belief: Belief, spacing: float, *, report: Callable[[str], None] | None = None, warm: bool = False
+    experiment: Experiment,
+    belief: Belief,
+    spacing: float,
+    *,
+    report: Callable[[str], None] | None = None,
+    warm: bool = False,
 ) -> Step:
     """Fit a model and compare it."""
     for name in experiment.fitted:
         experiment.predictor(name, spacing)
     solution, _ = fit_belief(
-        experiment.capture, experiment.starting(belief), experiment.fitted, experiment.observations,
-        replace(experiment.settings, spacing=spacing), report=report, problems=experiment.problems, warm=warm,
-    )  # fmt: skip
+        experiment.capture,
+        experiment.starting(belief),
+        experiment.fitted,
+        experiment.observations,
+        replace(experiment.settings, spacing=spacing),
+        report=report,
+        problems=experiment.problems,
+        warm=warm,
+    )
     compared = experiment.compare(solution.belief, spacing)
     return Step(solution.belief, solution, compared, experiment.assess(compared))
 
@@ -120,9 +133,13 @@ def promising(ranking: Ranking) -> list[Entry]:
 
 
 def refits_of(
-    experiment: Experiment, current: Step, ranking: Ranking, spacing: float, generator: np.random.Generator,
+    experiment: Experiment,
+    current: Step,
+    ranking: Ranking,
+    spacing: float,
+    generator: np.random.Generator,
     say: Callable[[str], None],
-) -> list[Refit]:  # fmt: skip
+) -> list[Refit]:
     """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
     begun = []
     for entry in promising(ranking):
@@ -135,11 +152,20 @@ def refits_of(
         if number and chi_square > 3.0 * begun[0][0] or number == FINISHED and chi_square > 1.1 * begun[0][0]:
             continue
         result = finish_refit(
-            experiment, current.solution, current.compared, entry, solution, spacing, generator=generator, report=say
+            experiment,
+            current.solution,
+            current.compared,
+            entry,
+            solution,
+            spacing,
+            generator=generator,
+            report=say,
         )
         if result is not None:
             finished.append(result)
-            say(f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma in the worst range")
+            say(
+                f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma in the worst range"
+            )
     return finished
 
 
@@ -148,7 +174,11 @@ def choose(refits: Sequence[Refit]) -> tuple[Refit, tuple[str, ...]]:
     ordered = sorted(refits, key=lambda r: excess(r.assessment))
     best = ordered[0]
     floor = max(excess(best.assessment), 0.02)
-    ties = [r.entry.effect for r in ordered[1:] if excess(r.assessment) < floor / CLEARLY_BETTER and r.assessment.worst <= EXPLAINED]
+    ties = [
+        r.entry.effect
+        for r in ordered[1:]
+        if excess(r.assessment) < floor / CLEARLY_BETTER and r.assessment.worst <= EXPLAINED
+    ]
     return best, tuple(ties)
 
 
@@ -187,7 +217,10 @@ def discover(
         if on_step:
             on_step(steps[-1])
     base = steps[0].assessment
-    while not explained(base if steps[-1].added else steps[-1].assessment, steps[-1].assessment) or not steps[-1].added:
+    while (
+        not explained(base if steps[-1].added else steps[-1].assessment, steps[-1].assessment)
+        or not steps[-1].added
+    ):
         current = steps[-1]
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
         generator = np.random.default_rng((seed, len(steps)))
@@ -195,29 +228,49 @@ def discover(
             break
         share = allowance_of(experiment, spacing, current.belief, current.solution.evaluation)
         ranking = rank(
-            experiment, current.belief, current.solution.evaluation, spacing, generator=generator, names=names,
-            allowance=share, report=report,
-        )  # fmt: skip
+            experiment,
+            current.belief,
+            current.solution.evaluation,
+            spacing,
+            generator=generator,
+            names=names,
+            allowance=share,
+            report=report,
+        )
         rankings.append(ranking)
         for entry in ranking.entries[:6]:
-            say(f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, p {entry.p_value:.2g}")
+            say(
+                f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, p {entry.p_value:.2g}"
+            )
         finished = refits_of(experiment, current, ranking, spacing, generator, say)
         for r in finished:
             if r.surprising:
-                warnings.append(f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, actual {r.actual_drop:.0f}")
+                warnings.append(
+                    f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, actual {r.actual_drop:.0f}"
+                )
         refits = [r for r in finished if r.pays]
         if not refits:
             break
         best, ties = choose(refits)
         steps.append(
-            Step(best.belief, best.solution, best.compared, best.assessment, (best.entry.effect,), ties, tuple(finished))
+            Step(
+                best.belief,
+                best.solution,
+                best.compared,
+                best.assessment,
+                (best.entry.effect,),
+                ties,
+                tuple(finished),
+            )
         )
         if on_step:
             on_step(steps[-1])
     return _conclude(steps, faults, rankings, warnings)
 
 
-def _conclude(steps: list[Step], faults: list[str], rankings: list[Ranking], warnings: list[str]) -> Discovery:
+def _conclude(
+    steps: list[Step], faults: list[str], rankings: list[Ranking], warnings: list[str]
+) -> Discovery:
     first, last = steps[0].assessment, steps[-1].assessment
     added = [name for step in steps for name in step.added]
     if not added:

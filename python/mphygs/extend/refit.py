@@ -55,7 +55,12 @@ def _scaled(entry: Entry, belief: Belief, strength: float) -> Belief:
     """The entry's start with the effect's strengths (parameters whose null is zero) times a factor."""
     out = entry.start
     for parameter in entry.start.parameters:
-        if parameter.key.startswith(f"{entry.effect}.") and parameter.free and not parameter.log and entry.kind != "threshold":
+        if (
+            parameter.key.startswith(f"{entry.effect}.")
+            and parameter.free
+            and not parameter.log
+            and entry.kind != "threshold"
+        ):
             if parameter.key.split(".", 1)[1] in ("f", "phase", "nu"):
                 continue
             value = float(np.clip(parameter.value * strength, parameter.lower, parameter.upper))
@@ -97,7 +102,11 @@ def start_refit(
         start = _scaled(entry, before.belief, strength)
         # Far from the data the linear estimate can be many times too strong, and a strong viscosity needs
         # short substeps: start weaker, the iterations find the way.
-        while entry.kind != "threshold" and predictor.stable_substep(start) < SHORTEST_SUBSTEP * longest and strength > 1e-3:
+        while (
+            entry.kind != "threshold"
+            and predictor.stable_substep(start) < SHORTEST_SUBSTEP * longest
+            and strength > 1e-3
+        ):
             strength *= 0.5
             start = _scaled(entry, before.belief, strength)
         try:
@@ -139,18 +148,26 @@ def finish_refit(
             report(f"with {entry.effect}: iteration {iteration}, {rms:.3f} sigma")
 
     try:
-        solution = minimise(problem, begun.belief, iterations=iterations, relative_tolerance=3e-4, report=tell)
+        solution = minimise(
+            problem, begun.belief, iterations=iterations, relative_tolerance=3e-4, report=tell
+        )
         compared = experiment.compare(solution.belief, spacing)
     except SimulationError:
         return None
     assessment = experiment.assess(compared)
     return Refit(
-        entry, solution, compared, assessment, unseen_gain(compared_before, compared, generator),
+        entry,
+        solution,
+        compared,
+        assessment,
+        unseen_gain(compared_before, compared, generator),
         before.evaluation.chi_square - solution.evaluation.chi_square,
-    )  # fmt: skip
+    )
 
 
-def unseen_gain(before: dict[str, Compared], after: dict[str, Compared], generator: np.random.Generator) -> GainInterval | None:
+def unseen_gain(
+    before: dict[str, Compared], after: dict[str, Compared], generator: np.random.Generator
+) -> GainInterval | None:
     """Bootstrap interval of the log-likelihood gain over all unseen frames; None where there are too few."""
     a, b = whiten_all(before), whiten_all(after)
     unseen = ~a.seen

@@ -24,7 +24,9 @@ def _drop_shifts(belief: Belief, keep: Sequence[str]) -> Belief:
     return replace(
         belief,
         parameters=tuple(
-            replace(p, free=p.free and p.key.removesuffix(".release_shift") in keep) if p.key.endswith(".release_shift") else p
+            replace(p, free=p.free and p.key.removesuffix(".release_shift") in keep)
+            if p.key.endswith(".release_shift")
+            else p
             for p in belief.parameters
         ),
     )
@@ -56,7 +58,11 @@ class Experiment:
 
         Raises KeyError for an unknown sequence, ValueError when nothing is left to fit.
         """
-        names = [s.name for s in capture.sequences if s.fit[1] > s.fit[0]] if sequences is None else list(sequences)
+        names = (
+            [s.name for s in capture.sequences if s.fit[1] > s.fit[0]]
+            if sequences is None
+            else list(sequences)
+        )
         fitted = {}
         for name in names:
             recording = capture.sequence(name)
@@ -100,9 +106,11 @@ class Experiment:
         """Sequences with markers and with frames to fit or to predict."""
         wanted = [s.name for s in self.capture.sequences] if names is None else list(names)
         return [
-            n for n in wanted
-            if self.capture.sequence(n).markers is not None and (n in self.fitted or self._unseen(n)[1] > self._unseen(n)[0])
-        ]  # fmt: skip
+            n
+            for n in wanted
+            if self.capture.sequence(n).markers is not None
+            and (n in self.fitted or self._unseen(n)[1] > self._unseen(n)[0])
+        ]
 
     def _unseen(self, name: str) -> tuple[int, int]:
         """Frames of a sequence that were not fitted: its predict range, or all its ranges when it was left out."""
@@ -121,9 +129,17 @@ class Experiment:
         problem = self.problem(spacing)
         self.predictor(name, spacing)
         own = Problem(
-            self.capture, problem.settings, {name: (first, min(last, first + 40))}, self.observations, problem.predictors
-        )  # fmt: skip
-        alone = replace(belief, known_mass=None, parameters=tuple(replace(p, free=p.key == key) for p in belief.parameters))
+            self.capture,
+            problem.settings,
+            {name: (first, min(last, first + 40))},
+            self.observations,
+            problem.predictors,
+        )
+        alone = replace(
+            belief,
+            known_mass=None,
+            parameters=tuple(replace(p, free=p.key == key) for p in belief.parameters),
+        )
         value = minimise(own, alone, iterations=8).belief[key].value
         return belief.with_parameter(key, value=value)
 
@@ -157,9 +173,14 @@ class Experiment:
                 # Richardson: the whole error is the change over 1 - 1/r^2.
                 refinement = _full(moved / (1.0 - REFINEMENT**-2), total)
             out[name] = Compared(
-                self.observations[name], _full(prediction.position, total), _full(prediction.jacobian, total),
-                predictor.attachment.part, fit, predict, refinement,
-            )  # fmt: skip
+                self.observations[name],
+                _full(prediction.position, total),
+                _full(prediction.jacobian, total),
+                predictor.attachment.part,
+                fit,
+                predict,
+                refinement,
+            )
         return out
 
     def assess(self, compared: Mapping[str, Compared]) -> Assessment:

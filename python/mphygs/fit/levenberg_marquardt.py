@@ -15,7 +15,6 @@ from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
-
 # Of the present substep: no single step of the optimiser may shorten it more.
 SHORTEST_SUBSTEP = 0.4
 

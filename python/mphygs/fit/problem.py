@@ -67,12 +67,16 @@ class Problem:
 
     def narrowed(self, share: float) -> Problem:
         """The same problem on the first share of every range's frames, at least eight of them."""
-        ranges = {n: (a, min(b, a + max(8, int(round(share * (b - a)))))) for n, (a, b) in self.ranges.items()}
+        ranges = {
+            n: (a, min(b, a + max(8, int(round(share * (b - a)))))) for n, (a, b) in self.ranges.items()
+        }
         return Problem(self.capture, self.settings, ranges, self.observations, self.predictors, self.substep)
 
     def with_ranges(self, ranges: Mapping[str, tuple[int, int]]) -> Problem:
         """The same problem on other frames; sequences that are new get their predictors."""
-        return Problem(self.capture, self.settings, ranges, self.observations, dict(self.predictors), self.substep)
+        return Problem(
+            self.capture, self.settings, ranges, self.observations, dict(self.predictors), self.substep
+        )
 
     def stable_substep(self, belief: Belief) -> float:
         """Shortest substep that any sequence needs [s]."""
@@ -114,7 +118,9 @@ class Problem:
         prior = np.array([p.prior_residual for p in belief.free]).reshape(-1, 2)
         return self._with_mass(belief, prior[:, 0], np.diag(prior[:, 1]))
 
-    def _with_mass(self, belief: Belief, residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _with_mass(
+        self, belief: Belief, residual: np.ndarray, jacobian: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The stated mass of the whole object as one more measurement."""
         if belief.known_mass is None:
             return residual, jacobian
@@ -123,8 +129,12 @@ class Problem:
         scale = 1.0 / (MASS_TOLERANCE * belief.known_mass)
         row = np.array(
             [
-                masses[p.key.rsplit(".", 1)[0]] * scale if p.key.endswith(".density") and p.key.rsplit(".", 1)[0] in masses else 0.0
+                masses[p.key.rsplit(".", 1)[0]] * scale
+                if p.key.endswith(".density") and p.key.rsplit(".", 1)[0] in masses
+                else 0.0
                 for p in belief.free
             ]
         )
-        return np.append(residual, (sum(masses.values()) - belief.known_mass) * scale), np.vstack([jacobian, row])
+        return np.append(residual, (sum(masses.values()) - belief.known_mass) * scale), np.vstack(
+            [jacobian, row]
+        )

@@ -18,6 +18,7 @@ from mphygs.simulate.prediction import Settings
 # Cells that an object of default spacing is worth: about 250 of its volume.
 DEFAULT_CELLS = 250
 COARSE_FACTOR = 1.5
+SCREENING_FACTOR = 1.7
 # Common factors on all Young's moduli that are tried before anything else.
 SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
 
@@ -39,6 +40,11 @@ def default_spacing(capture: Capture) -> float:
     spacing = (volume / DEFAULT_CELLS) ** (1.0 / 3.0)
     digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)
     return float(np.round(spacing / digits) * digits)
+
+
+def screening_spacing(capture: Capture) -> float:
+    """Coarser spacing for trying many models one after the other [m]: a sixth of the work of the default."""
+    return round(SCREENING_FACTOR * default_spacing(capture), 6)
 
 
 def stages(spacing: float, *, warm: bool) -> tuple[Stage, ...]:
@@ -101,7 +107,9 @@ def fit_belief(
         if number < start_stage:
             continue
         if stage.spacing not in problems:
-            own = Settings(stage.spacing, settings.safety, settings.workers, settings.dtype, settings.memory_budget)
+            own = Settings(
+                stage.spacing, settings.safety, settings.workers, settings.dtype, settings.memory_budget
+            )
             problems[stage.spacing] = Problem(capture, own, ranges, observations)
         problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
         if number == 0 and not warm:
@@ -112,7 +120,9 @@ def fit_belief(
                 rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
                 report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
 
-        solution = minimise(problem, belief, iterations=stage.iterations, report=tell, relative_tolerance=stage.accuracy)
+        solution = minimise(
+            problem, belief, iterations=stage.iterations, report=tell, relative_tolerance=stage.accuracy
+        )
         belief = solution.belief
         problems[stage.spacing].predictors.update(problem.predictors)
         if after_stage:

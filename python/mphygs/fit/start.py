@@ -21,7 +21,9 @@ DEFAULT_DENSITY = 1000.0
 RELEASE_FRAMES = 2.0
 
 
-def starting_belief(capture: Capture, *, effects: tuple[str, ...] = (), prestress: str | None = None, law: str = "neo-hookean") -> Belief:
+def starting_belief(
+    capture: Capture, *, effects: tuple[str, ...] = (), prestress: str | None = None, law: str = "neo-hookean"
+) -> Belief:
     """Materials of every part, free where the capture does not know them, and the named effects.
 
     prestress: off, paper or equilibrium; None takes equilibrium for a capture whose rest says so.
@@ -50,30 +52,59 @@ def starting_belief(capture: Capture, *, effects: tuple[str, ...] = (), prestres
             ratio = ratio.get(part.name)
         parameters += [
             Parameter(
-                f"{part.name}.youngs_modulus", YOUNGS_MODULUS_MEDIAN, "Pa", 1e2, 1e9, log=True,
-                prior_mean=math.log(YOUNGS_MODULUS_MEDIAN), prior_std=YOUNGS_MODULUS_SPREAD,
+                f"{part.name}.youngs_modulus",
+                YOUNGS_MODULUS_MEDIAN,
+                "Pa",
+                1e2,
+                1e9,
+                log=True,
+                prior_mean=math.log(YOUNGS_MODULUS_MEDIAN),
+                prior_std=YOUNGS_MODULUS_SPREAD,
             ),
             Parameter(
-                f"{part.name}.density", known.density.get(part.name, guess), "kg/m^3", *density_bounds, log=True,
-                free=part.name not in known.density, prior_mean=math.log(guess), prior_std=DENSITY_SPREAD,
+                f"{part.name}.density",
+                known.density.get(part.name, guess),
+                "kg/m^3",
+                *density_bounds,
+                log=True,
+                free=part.name not in known.density,
+                prior_mean=math.log(guess),
+                prior_std=DENSITY_SPREAD,
             ),
-            Parameter(f"{part.name}.poissons_ratio", DEFAULT_POISSONS_RATIO if ratio is None else ratio, "-", 0.0, 0.4995, free=False),
-        ]  # fmt: skip
+            Parameter(
+                f"{part.name}.poissons_ratio",
+                DEFAULT_POISSONS_RATIO if ratio is None else ratio,
+                "-",
+                0.0,
+                0.4995,
+                free=False,
+            ),
+        ]
     for recording in capture.sequences:
         if recording.release is not None:
             frame = 1.0 / recording.fps
             earliest = -min(RELEASE_FRAMES, recording.release) * frame
             parameters.append(
                 Parameter(
-                    f"{recording.name}.release_shift", 0.0, "s", earliest, RELEASE_FRAMES * frame,
-                    prior_mean=0.0, prior_std=frame, scale=frame,
+                    f"{recording.name}.release_shift",
+                    0.0,
+                    "s",
+                    earliest,
+                    RELEASE_FRAMES * frame,
+                    prior_mean=0.0,
+                    prior_std=frame,
+                    scale=frame,
                 )
-            )  # fmt: skip
+            )
     mode = prestress or ("equilibrium" if capture.rest == "equilibrium" else "off")
     belief = Belief(
-        tuple(part.name for part in capture.parts), np.asarray(capture.gravity, float), tuple(parameters),
-        prestress=mode, law=law, known_mass=known.mass,
-    )  # fmt: skip
+        tuple(part.name for part in capture.parts),
+        np.asarray(capture.gravity, float),
+        tuple(parameters),
+        prestress=mode,
+        law=law,
+        known_mass=known.mass,
+    )
     for name in effects:
         belief = with_effect(belief, name)
     return belief

@@ -127,15 +127,22 @@ class Belief:
     def at(self, coordinates: np.ndarray) -> Belief:
         """This belief with the free parameters moved to (P,) coordinates."""
         moved = iter(coordinates)
-        return replace(self, parameters=tuple(p.at(float(next(moved))) if p.free else p for p in self.parameters))
+        return replace(
+            self, parameters=tuple(p.at(float(next(moved))) if p.free else p for p in self.parameters)
+        )
 
     def with_parameter(self, key: str, **changes: object) -> Belief:
         """This belief with one parameter changed. Raises KeyError when there is none of that key."""
         _ = self[key]
-        return replace(self, parameters=tuple(replace(p, **changes) if p.key == key else p for p in self.parameters))
+        return replace(
+            self, parameters=tuple(replace(p, **changes) if p.key == key else p for p in self.parameters)
+        )
 
     def with_effect(
-        self, name: str, values: Mapping[str, float] | None = None, settings: Mapping[str, object] | None = None
+        self,
+        name: str,
+        values: Mapping[str, float] | None = None,
+        settings: Mapping[str, object] | None = None,
     ) -> Belief:
         """This belief with an effect added; its fitted parameters become free.
 
@@ -153,12 +160,22 @@ class Belief:
             log = p.fitted and p.null != 0.0 and p.lower > 0.0
             added.append(
                 Parameter(
-                    f"{name}.{p.name}", value, p.unit, p.lower, p.upper, log=log, free=p.fitted, scale=p.scale,
-                    prior_mean=math.log(p.null) if log else 0.0, prior_std=3.0 if log else math.inf,
+                    f"{name}.{p.name}",
+                    value,
+                    p.unit,
+                    p.lower,
+                    p.upper,
+                    log=log,
+                    free=p.fitted,
+                    scale=p.scale,
+                    prior_mean=math.log(p.null) if log else 0.0,
+                    prior_std=3.0 if log else math.inf,
                 )
-            )  # fmt: skip
+            )
         return replace(
-            self, parameters=self.parameters + tuple(added), terms=(*self.terms, Term(name, dict(settings or {})))
+            self,
+            parameters=self.parameters + tuple(added),
+            terms=(*self.terms, Term(name, dict(settings or {}))),
         )
 
     def without_effect(self, name: str) -> Belief:

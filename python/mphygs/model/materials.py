@@ -11,7 +11,9 @@ def lame(youngs_modulus: np.ndarray, poissons_ratio: np.ndarray) -> tuple[np.nda
     return mu, youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio))
 
 
-def lame_by_poissons_ratio(youngs_modulus: np.ndarray, poissons_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def lame_by_poissons_ratio(
+    youngs_modulus: np.ndarray, poissons_ratio: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of mu and lambda by Poisson's ratio [Pa]."""
     nu = poissons_ratio
     d_mu = -youngs_modulus / (2.0 * (1.0 + nu) ** 2)

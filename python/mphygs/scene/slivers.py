@@ -27,7 +27,10 @@ def merge_slivers(quadrature: Quadrature, *, share: float) -> Quadrature:
     mean = quadrature.points.mean(1)
     deviation = quadrature.points - mean[:, None]
     covariance = np.einsum("bqi,bqj->bij", deviation, deviation) / 8.0
-    index = {(int(p), *map(int, c)): b for b, (p, c) in enumerate(zip(quadrature.part, quadrature.cell, strict=True))}
+    index = {
+        (int(p), *map(int, c)): b
+        for b, (p, c) in enumerate(zip(quadrature.part, quadrature.cell, strict=True))
+    }
     volume, alive = volume.copy(), np.ones(len(volume), bool)
     changed = np.zeros(len(volume), bool)
     order = np.argsort(volume, kind="stable")

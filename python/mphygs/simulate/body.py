@@ -10,8 +10,8 @@ import numpy as np
 from mphygs import _core
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence
-from mphygs.scene.slivers import merge_slivers
 from mphygs.scene.particles import Quadrature, closest_material, exposed_surface, fill, hold_face
+from mphygs.scene.slivers import merge_slivers
 
 LANES = 8
 # Cells filled less than this hand their material to a neighbour.
@@ -95,7 +95,9 @@ def hold_boxes(sequence: Sequence) -> np.ndarray:
     return np.array([hold.box for hold in sequence.held]).reshape(-1, 2, 3)
 
 
-def discretise(capture: Capture, boxes: np.ndarray, spacing: float, *, places: np.ndarray | None = None) -> Body:
+def discretise(
+    capture: Capture, boxes: np.ndarray, spacing: float, *, places: np.ndarray | None = None
+) -> Body:
     """Discretise a capture's parts for given hold boxes.
 
     boxes: (H, 2, 3) [m]; spacing: of the grid [m]; places: (K, 3) points for effects at a place [m].
@@ -103,7 +105,8 @@ def discretise(capture: Capture, boxes: np.ndarray, spacing: float, *, places: n
     """
     parts = capture.parts
     faces = [
-        hold_face(parts, box, spacing=spacing, other_boxes=np.delete(boxes, h, axis=0)) for h, box in enumerate(boxes)
+        hold_face(parts, box, spacing=spacing, other_boxes=np.delete(boxes, h, axis=0))
+        for h, box in enumerate(boxes)
     ]
     low = np.min([part.vertices.min(0) for part in parts], axis=0)
     # A held face on the boundary between two cells leaves no slivers of material beside it.
@@ -111,7 +114,9 @@ def discretise(capture: Capture, boxes: np.ndarray, spacing: float, *, places: n
     for group in faces:
         for face in group:
             offset[face.axis] = ((face.coordinate - low[face.axis]) / spacing) % 1.0
-    quadrature = fill(parts, spacing=spacing, exclude_boxes=boxes if len(boxes) else None, origin_offset=offset)
+    quadrature = fill(
+        parts, spacing=spacing, exclude_boxes=boxes if len(boxes) else None, origin_offset=offset
+    )
     quadrature = merge_slivers(quadrature, share=SMALLEST_SHARE)
     centroid = np.array(
         [
@@ -243,7 +248,9 @@ def _column(nodes: set, axis: int, across: list[int], key: tuple[int, int], heig
     return None
 
 
-def core_model(body: Body, *, active: tuple[str, ...], dtype: type, law: str, threads: int, memory_budget: int) -> object:
+def core_model(
+    body: Body, *, active: tuple[str, ...], dtype: type, law: str, threads: int, memory_budget: int
+) -> object:
     """The compiled model of a body with given core effects switched on."""
     kind = _core.TotalLagrangianFloat32 if dtype == np.float32 else _core.TotalLagrangianFloat64
     settings = {"active": list(active), "law": law, "threads": threads, "memory_budget": memory_budget}

@@ -8,7 +8,12 @@ import numpy as np
 
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.materials import lame, lame_by_poissons_ratio
-from mphygs.model.registry import core_parameter_nulls, core_parameter_offsets, effect, point_parameter_offsets
+from mphygs.model.registry import (
+    core_parameter_nulls,
+    core_parameter_offsets,
+    effect,
+    point_parameter_offsets,
+)
 from mphygs.simulate.body import LANES, Body
 
 # Effects that load the object at rest as well, where its rest shape is an equilibrium.
@@ -63,7 +68,9 @@ def core_effects(belief: Belief) -> tuple[str, ...]:
 
 def places(belief: Belief) -> np.ndarray:
     """(K, 3) places of the effects that have one, in the order of the terms [m]."""
-    return np.array([t.settings["place"] for t in belief.terms if "place" in t.settings], float).reshape(-1, 3)
+    return np.array([t.settings["place"] for t in belief.terms if "place" in t.settings], float).reshape(
+        -1, 3
+    )
 
 
 def _place_index(belief: Belief, name: str) -> int:
@@ -165,7 +172,9 @@ def at_rest(belief: Belief) -> Belief:
 
     An effect whose term says `at_rest: False` came after the shape was taken.
     """
-    terms = tuple(t for t in belief.terms if not (t.name in STATIC_EFFECTS and not t.settings.get("at_rest", True)))
+    terms = tuple(
+        t for t in belief.terms if not (t.name in STATIC_EFFECTS and not t.settings.get("at_rest", True))
+    )
     return replace(belief, terms=terms)
 
 

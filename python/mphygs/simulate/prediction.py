@@ -70,7 +70,9 @@ class Timeline:
 class Predictor:
     """Simulates one recorded sequence of a capture at one spacing."""
 
-    def __init__(self, capture: Capture, recording: Recording, settings: Settings, *, body: Body | None = None) -> None:
+    def __init__(
+        self, capture: Capture, recording: Recording, settings: Settings, *, body: Body | None = None
+    ) -> None:
         self.capture, self.recording, self.settings = capture, recording, settings
         self.body = body or discretise(capture, hold_boxes(recording), settings.spacing)
         self.rest_shape = RestShape(self.body)
@@ -88,7 +90,12 @@ class Predictor:
                 geometry = dict(body.geometry) | {"places": spots, "place_cell": body.nearest_cell(spots)}
                 body = Body(body.quadrature, geometry, body.boxes, body.part_names, body.centroid, body.parts)
             self._models[key] = core_model(
-                body, active=key[0], dtype=self.settings.number, law=law, threads=1, memory_budget=self.settings.memory_budget
+                body,
+                active=key[0],
+                dtype=self.settings.number,
+                law=law,
+                threads=1,
+                memory_budget=self.settings.memory_budget,
             )
         return self._models[key]
 
@@ -121,7 +128,9 @@ class Predictor:
         times = moving / fps
         spans = np.diff(np.r_[start, times])
         steps = np.maximum(np.ceil(spans / substep - 1e-9), 1).astype(np.int32)
-        return Timeline(frames, moving, {"steps": steps, "dt": spans / np.maximum(steps, 1), "start": start}, times)
+        return Timeline(
+            frames, moving, {"steps": steps, "dt": spans / np.maximum(steps, 1), "start": start}, times
+        )
 
     def substep_times(self, timeline: Timeline) -> np.ndarray:
         """(n + 1,) times of all substep boundaries [s]."""
@@ -186,7 +195,11 @@ class Predictor:
         Raises SimulationError where the run is unstable.
         """
         last = self.recording.frames if last is None else last
-        shift = belief[f"{self.recording.name}.release_shift"].value if f"{self.recording.name}.release_shift" in belief else 0.0
+        shift = (
+            belief[f"{self.recording.name}.release_shift"].value
+            if f"{self.recording.name}.release_shift" in belief
+            else 0.0
+        )
         dt = substep or self.stable_substep(belief)
         timeline = self.timeline(last, dt, shift)
         wanted = [(belief, belief[key]) for key in keys] + list(candidates)
@@ -203,15 +216,22 @@ class Predictor:
         for slot, tangent in zip(slots, tangents, strict=True):
             jacobian[..., slot] = self._observe_tangent(value, tangent, timeline)
         for slot, (_, parameter) in enumerate(wanted):
-            if parameter.key.endswith(".release_shift") and parameter.key.startswith(f"{self.recording.name}."):
+            if parameter.key.endswith(".release_shift") and parameter.key.startswith(
+                f"{self.recording.name}."
+            ):
                 jacobian[..., slot] = self._release_slope(belief, parameter, last, dt, position)
         position, velocity, jacobian = _measured(
             belief, wanted, timeline.frames / self.recording.fps, position, velocity, jacobian
         )
         return Prediction(
-            timeline.frames, position, velocity, jacobian, tuple(p.key for _, p in wanted),
-            int(timeline.schedule["steps"].sum()), float(np.max(timeline.schedule["dt"], initial=0.0)),
-        )  # fmt: skip
+            timeline.frames,
+            position,
+            velocity,
+            jacobian,
+            tuple(p.key for _, p in wanted),
+            int(timeline.schedule["steps"].sum()),
+            float(np.max(timeline.schedule["dt"], initial=0.0)),
+        )
 
     def von_mises(self, belief: Belief, last: int) -> np.ndarray:
         """Von Mises stress of the base law at the quadrature points, (T, B, 8) [Pa], at frames 0..last-1."""
@@ -235,7 +255,9 @@ class Predictor:
             out.append(mu * np.sqrt(1.5 * np.einsum("pij,pij->p", b, b)))
         return np.array(out).reshape(len(out), -1, 8)
 
-    def _release_slope(self, belief: Belief, parameter: Parameter, last: int, dt: float, position: np.ndarray) -> np.ndarray:
+    def _release_slope(
+        self, belief: Belief, parameter: Parameter, last: int, dt: float, position: np.ndarray
+    ) -> np.ndarray:
         """By a difference: the release moves the start of the schedule, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
         if parameter.value + step > parameter.upper:
@@ -245,7 +267,9 @@ class Predictor:
         value, _ = self._runs(moved, [], timeline, None)
         return (self._observe(value, timeline)[0] - position) / step * parameter.slope
 
-    def _runs(self, belief: Belief, simulated: list, timeline: Timeline, progress: Callable[[int], bool] | None) -> tuple:
+    def _runs(
+        self, belief: Belief, simulated: list, timeline: Timeline, progress: Callable[[int], bool] | None
+    ) -> tuple:
         """The trajectory and the tangent of every (belief, parameter)."""
         base_fields: dict = {}
         if not simulated:
@@ -260,8 +284,12 @@ class Predictor:
         batches = [order[k : k + size] for k in range(0, len(order), size)]
 
         def run(batch: list[int]) -> list:
-            active = tuple(sorted({n for i in batch for n in core_effects(simulated[i][0])} | set(core_effects(belief))))
-            spots, shared, fields, directions = self._merge(belief, [simulated[i][0] for i in batch], [changes[i] for i in batch])
+            active = tuple(
+                sorted({n for i in batch for n in core_effects(simulated[i][0])} | set(core_effects(belief)))
+            )
+            spots, shared, fields, directions = self._merge(
+                belief, [simulated[i][0] for i in batch], [changes[i] for i in batch]
+            )
             model = self.model(active, spots, belief.law)
             fields = base_fields | fields
             if self.recording.held:
@@ -274,7 +302,9 @@ class Predictor:
         # Models and fields are made here, one after the other: caches are not shared between threads.
         for batch in batches:
             spots, *_ = self._merge(belief, [simulated[i][0] for i in batch], [changes[i] for i in batch])
-            active = tuple(sorted({n for i in batch for n in core_effects(simulated[i][0])} | set(core_effects(belief))))
+            active = tuple(
+                sorted({n for i in batch for n in core_effects(simulated[i][0])} | set(core_effects(belief)))
+            )
             self.model(active, spots, belief.law)
         if len(batches) == 1:
             results = [run(batches[0])]
@@ -288,7 +318,11 @@ class Predictor:
         return results[0][0], tangents
 
     def _hook(
-        self, belief: Belief, fields: dict, simulated: Sequence[tuple[Belief, Parameter]] = (), changes: Sequence[dict] = ()
+        self,
+        belief: Belief,
+        fields: dict,
+        simulated: Sequence[tuple[Belief, Parameter]] = (),
+        changes: Sequence[dict] = (),
     ) -> object | None:
         """What the effects in Python add to a run, if there are any."""
         return forces_of(
@@ -395,7 +429,9 @@ class Predictor:
                 r1, p1 = hold.poses(times + step, self.recording.fps)
                 r0, p0 = hold.poses(times - step, self.recording.fps)
                 position[:, held] = np.einsum("tij,mj->tmi", r, rest) + p[:, None]
-                velocity[:, held] = (np.einsum("tij,mj->tmi", r1 - r0, rest) + (p1 - p0)[:, None]) / (2 * step)
+                velocity[:, held] = (np.einsum("tij,mj->tmi", r1 - r0, rest) + (p1 - p0)[:, None]) / (
+                    2 * step
+                )
         return position, velocity
 
     @staticmethod
@@ -441,7 +477,12 @@ def acts_in_simulation(parameter: Parameter) -> bool:
 
 
 def _measured(
-    belief: Belief, wanted: list, times: np.ndarray, position: np.ndarray, velocity: np.ndarray, jacobian: np.ndarray
+    belief: Belief,
+    wanted: list,
+    times: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    jacobian: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Faults of the measurement, applied to what the simulation says."""
     if "time_offset" in belief.effects:
@@ -468,7 +509,9 @@ def _measured(
     return position, velocity, jacobian
 
 
-def _shifted(times: np.ndarray, position: np.ndarray, velocity: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray]:
+def _shifted(
+    times: np.ndarray, position: np.ndarray, velocity: np.ndarray, shift: float
+) -> tuple[np.ndarray, np.ndarray]:
     """State at times + shift, by the cubic through positions and velocities of the frames."""
     if len(times) < 2:
         return position, velocity

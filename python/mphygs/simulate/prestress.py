@@ -30,7 +30,9 @@ class RestShape:
     def _prepare(self, belief: Belief) -> Belief:
         rest = at_rest(belief)
         active = tuple(
-            n for n in core_effects(rest) if n in STATIC_EFFECTS or effect(n).site == "volume" and n != "prestress"
+            n
+            for n in core_effects(rest)
+            if n in STATIC_EFFECTS or effect(n).site == "volume" and n != "prestress"
         )
         spots = places(rest)
         key = (active, rest.law, spots.tobytes())
@@ -58,7 +60,9 @@ class RestShape:
         fields = primal(rest, self._body)
         load = self._load(fields)
         # At a growing strain the rest state is that of time zero: nothing has grown yet.
-        signature = np.concatenate([fields["mu"].ravel(), fields["lambda"].ravel(), load.ravel(), fields["effect"]]).tobytes()
+        signature = np.concatenate(
+            [fields["mu"].ravel(), fields["lambda"].ravel(), load.ravel(), fields["effect"]]
+        ).tobytes()
         if signature != self._coordinates:
             start = self._solution["map"] if self._solution is not None else np.zeros(0)
             try:
