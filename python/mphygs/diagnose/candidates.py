@@ -1,4 +1,4 @@
-"""Candidate effects of a fitted model: each at its null, in the few ways that it may be placed or directed."""
+"""Candidate effects of a fitted model: each at its null, in the few ways it may be placed or directed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TETHER_PLACES = 3
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """One way in which an effect may enter: beliefs with it at its null, and the parameters to differentiate by.
+    """One way in which an effect may enter: beliefs with it at its null, and parameters to differentiate by.
 
     effect: its name; label: unique; columns: (belief, parameter) pairs whose tangents are its columns;
     bounded: (q,) bool; values, settings: what a refit starts from besides the estimate.
@@ -104,7 +104,7 @@ def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = Non
             direction = dict(zip(("a_x", "a_y", "a_z"), map(float, axis), strict=True))
             add("fibre", f"fibre along {label}", ["k_f"], values=direction)
     if "wind" in wanted:
-        # Near w = 0 a drag coefficient has no derivative: a light coefficient in a flow of 2 m/s stands for it.
+        # Near w = 0 a drag coefficient has no derivative: a light one in a flow of 2 m/s stands for it.
         for k, a in enumerate("xyz"):
             for sign in (1, -1):
                 flow = {f"w_{b}": 2.0 * sign * (k == j) for j, b in enumerate("xyz")}

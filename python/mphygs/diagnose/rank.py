@@ -1,4 +1,4 @@
-"""Rank what could explain the misfit of a fitted model: smooth effects and faults by score, others by trial."""
+"""Rank what could explain a fitted model's misfit: smooth effects and faults by score, others by trial."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ FREQUENCIES = 2
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One effect in its best way. start: belief to refit from; statistic: predicted (trial: actual) drop of chi^2."""
+    """One effect in its best way.
+
+    start: belief to refit from; statistic: predicted (trial: actual) drop of chi^2.
+    """
 
     effect: str
     label: str
@@ -46,7 +49,7 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """entries: best first, one per effect; chi_square, rows: of the fitted frames; table: of all smooth ways."""
+    """entries: best first, one per effect; chi_square, rows: of fitted frames; table: of all smooth ways."""
 
     entries: tuple[Entry, ...]
     chi_square: float

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
-from mphygs.diagnose.cone import cone_maximum, cone_weights, mixture_p_value, mixture_p_value_of_share
 from mphygs.compare.projection import RANK_TOLERANCE, project_out
+from mphygs.diagnose.cone import cone_maximum, cone_weights, mixture_p_value, mixture_p_value_of_share
 from mphygs.diagnose.score_table import Array, Candidate, Score, ScoreTable
 
 # Above this absorbed share the motion cannot test a candidate.
