@@ -1,4 +1,4 @@
-"""The whole loop: fit, compare, diagnose, extend, until the error is explained or nothing known explains it."""
+"""The whole loop: fit, compare, diagnose, extend, until the error is explained or nothing known does so."""
 
 from __future__ import annotations
 
@@ -164,7 +164,8 @@ def refits_of(
         if result is not None:
             finished.append(result)
             say(
-                f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma in the worst range"
+                f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma "
+                "in the worst range"
             )
     return finished
 
@@ -240,13 +241,15 @@ def discover(
         rankings.append(ranking)
         for entry in ranking.entries[:6]:
             say(
-                f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, p {entry.p_value:.2g}"
+                f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, "
+                f"p {entry.p_value:.2g}"
             )
         finished = refits_of(experiment, current, ranking, spacing, generator, say)
         for r in finished:
             if r.surprising:
                 warnings.append(
-                    f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, actual {r.actual_drop:.0f}"
+                    f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, "
+                    f"actual {r.actual_drop:.0f}"
                 )
         refits = [r for r in finished if r.pays]
         if not refits:

@@ -25,8 +25,8 @@ SHORTEST_SUBSTEP = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A model with an effect added. gain: on unseen frames over the model before; actual_drop: of chi^2 on the
-    fitted frames, to hold against entry.statistic."""
+    """A model with an effect added. gain: on unseen frames over the model before; actual_drop: of chi^2 on
+    the fitted frames, to hold against entry.statistic."""
 
     entry: Entry
     solution: Solution
