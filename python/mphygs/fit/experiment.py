@@ -113,7 +113,7 @@ class Experiment:
         ]
 
     def _unseen(self, name: str) -> tuple[int, int]:
-        """Frames of a sequence that were not fitted: its predict range, or all its ranges when it was left out."""
+        """Unfitted frames of a sequence: its predict range, or all its ranges when it was left out."""
         recording = self.capture.sequence(name)
         if name in self.fitted or recording.fit[1] <= recording.fit[0]:
             return recording.predict
