@@ -221,8 +221,8 @@ def _constraints(body: Body, faces: list) -> dict:
                 rows += 1
         if rows == 0:
             raise ValueError(
-                f"hold {index}: its box {body.boxes[index].tolist()} has no face with free material beyond it, "
-                "expected a box that holds a part of the object and leaves the rest free"
+                f"hold {index}: its box {body.boxes[index].tolist()} has no face with free material "
+                "beyond it, expected a box that holds a part of the object and leaves the rest free"
             )
     return {
         "row_begin": np.array(begin, np.int32),

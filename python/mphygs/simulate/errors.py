@@ -4,7 +4,8 @@
 class SimulationError(RuntimeError):
     """An unstable or impossible run; the message names the frame, the part and the cause.
 
-    frame: first output frame that could not be computed (-1: not known); part: index of the part (-1: not known).
+    frame: first output frame that could not be computed (-1: not known);
+    part: index of the part (-1: not known).
     """
 
     def __init__(self, message: str, *, frame: int = -1, part: int = -1) -> None:

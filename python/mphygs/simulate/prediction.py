@@ -258,7 +258,7 @@ class Predictor:
     def _release_slope(
         self, belief: Belief, parameter: Parameter, last: int, dt: float, position: np.ndarray
     ) -> np.ndarray:
-        """By a difference: the release moves the start of the schedule, which the core does not differentiate."""
+        """By a difference: the release moves the schedule's start, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
         if parameter.value + step > parameter.upper:
             step = -step
@@ -279,7 +279,7 @@ class Predictor:
         changes = self.changes(belief, simulated)
         workers = max(1, min(self.settings.workers, len(simulated)))
         size = min(BATCH, -(-len(simulated) // workers))
-        # Parameters that need the same effects share a run; the rest of an effect's cost is not paid by others.
+        # Parameters that need the same effects share a run; others do not pay the rest of an effect's cost.
         order = sorted(range(len(simulated)), key=lambda i: core_effects(simulated[i][0]))
         batches = [order[k : k + size] for k in range(0, len(order), size)]
 
@@ -388,7 +388,7 @@ class Predictor:
 
     # ---- what is seen ---------------------------------------------------------------------------
     def marker_weights(self) -> tuple:
-        """Free markers (M,) bool, and of these: node (F, 27), value, gradient [1/m], and which have an offset."""
+        """Free markers (M,) bool; of these: node (F, 27), value, gradient [1/m], and which have an offset."""
         if not hasattr(self, "_marker_weights"):
             model = self.model((), np.zeros((0, 3)), "neo-hookean")
             free = self.attachment.hold < 0
