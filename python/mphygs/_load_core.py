@@ -31,5 +31,7 @@ def load() -> ModuleType:
     try:
         processor = importlib.import_module("mphygs._processor")
     except ModuleNotFoundError as error:
-        raise ImportError("mphygs: the compiled core is missing; install the package (pip install .)") from error
+        raise ImportError(
+            "mphygs: the compiled core is missing; install the package (pip install .)"
+        ) from error
     return importlib.import_module(variant_name(processor.level()))
