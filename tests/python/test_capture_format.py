@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from capture_example import FRAMES, Example, shared
 
+from capture_example import FRAMES, Example, shared
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_example import FRAMES, Example
 
+from capture_example import FRAMES, Example
 from mphygs.capture.holds import Hold
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_rotation_vector
 

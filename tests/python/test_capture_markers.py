@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_example import AT, FRAMES, NAMES, Example, shared, write_c3d
 
+from capture_example import AT, FRAMES, NAMES, Example, shared, write_c3d
 from mphygs.capture.format import Markers, load_capture
 from mphygs.capture.markers import resting_position
 from mphygs.capture.rotation import matrix_from_rotation_vector

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_example import Example, shared
 
+from capture_example import Example, shared
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import Hold, load_capture, save_capture
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose_toy import COUNT, candidate, smooth_tangents, table_of, toy
 from scipy.stats import kstest
 
-from mphygs.diagnose.decoys import check_decoys, decoy_tangents
+from diagnose_toy import COUNT, candidate, smooth_tangents, table_of, toy
 from mphygs.compare.holm import holm
+from mphygs.diagnose.decoys import check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose_toy import COUNT, candidate, smooth_tangents, table_of, toy
 from scipy.stats import norm
 
+from diagnose_toy import COUNT, candidate, smooth_tangents, table_of, toy
+from mphygs.compare.projection import project_out
 from mphygs.diagnose.power import (
     detectable_along,
     detectable_length,
     detectable_strength,
     least_visible_direction,
 )
-from mphygs.compare.projection import project_out
 from mphygs.diagnose.ties import compare_pair, separating_motions, tied_with
 
 

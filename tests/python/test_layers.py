@@ -28,7 +28,8 @@ def imported_modules(source: str, package: str) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             # One dot is the package itself, two are mphygs.
             stem = ["mphygs", package][: 3 - node.level]
-            names = [".".join([*stem, *([node.module] if node.module else []), alias.name]) for alias in node.names]
+            stem += [node.module] if node.module else []
+            names = [".".join([*stem, alias.name]) for alias in node.names]
         for name in names:
             parts = name.split(".")
             if parts[0] == "mphygs" and len(parts) > 1:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from test_scene_particles import box, practice, turned
 
 from mphygs.scene.closest import closest_on_mesh
 from mphygs.scene.particles import closest_material
+from test_scene_particles import box, practice, turned
 
 
 def test_outside_a_box_the_anchor_is_the_clamped_point() -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from test_scene_particles import SHARED, box, practice, solid, turned
 
 from mphygs.scene.particles import hold_face
+from test_scene_particles import SHARED, box, practice, solid, turned
 
 
 def test_a_clamped_end_has_one_face() -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
-from test_scene_particles import Solid, box, practice, solid, turned
 
 from mphygs.scene.particles import exposed_surface
+from test_scene_particles import Solid, box, practice, solid, turned
 
 
 def test_a_box_alone_is_exposed_all_over() -> None:
