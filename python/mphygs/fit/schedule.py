@@ -18,6 +18,8 @@ from mphygs.simulate.prediction import Settings
 # Cells that an object of default spacing is worth: about 250 of its volume.
 DEFAULT_CELLS = 250
 COARSE_FACTOR = 1.5
+# Of the default spacing: thin parts are lost on grids coarser than this.
+COARSEST = 2.0
 SCREENING_FACTOR = 1.7
 # Common factors on all Young's moduli that are tried before anything else.
 SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
@@ -47,11 +49,14 @@ def screening_spacing(capture: Capture) -> float:
     return round(SCREENING_FACTOR * default_spacing(capture), 6)
 
 
-def stages(spacing: float, *, warm: bool) -> tuple[Stage, ...]:
-    """Stages of a fit; a warm start knows the scale and needs the fine grid only."""
+def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Stage, ...]:
+    """Stages of a fit; a warm start knows the scale and needs the fine grid only.
+
+    coarsest: spacing that the coarse stages may not exceed, unless the fine one does [m].
+    """
     if warm:
         return (Stage("fine", spacing, 1.0, 12, 1e-4),)
-    coarse = COARSE_FACTOR * spacing
+    coarse = max(spacing, min(COARSE_FACTOR * spacing, coarsest))
     return (
         Stage("coarse, first quarter", coarse, 0.25, 8, 3e-3),
         Stage("coarse, first half", coarse, 0.5, 8, 3e-3),
@@ -64,7 +69,6 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
     """Move all free Young's moduli together to the factor that fits the first frames best."""
     keys = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
     best, best_cost = None, np.inf
-    # From stiff to soft: once a shape cannot carry itself, softer ones cannot either.
     for scale in sorted(SCALES, reverse=True):
         trial = belief
         for key in keys:
@@ -72,7 +76,7 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
         try:
             cost = problem.evaluate(trial, jacobian=False).cost
         except SimulationError:
-            break
+            continue
         if report:
             report(f"scale {scale:.3g}: cost {cost:.4g}")
         if cost < best_cost:
@@ -100,7 +104,7 @@ def fit_belief(
     ranges: frames to fit per sequence; settings.spacing is the fine spacing; warm: the belief is near its
     minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here.
     """
-    plan = stages(settings.spacing, warm=warm)
+    plan = stages(settings.spacing, warm=warm, coarsest=COARSEST * default_spacing(capture))
     problems = {} if problems is None else problems
     solution = None
     for number, stage in enumerate(plan):

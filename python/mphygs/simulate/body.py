@@ -148,29 +148,27 @@ def discretise(
 
 
 def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
-    """Samples of the exposed surface, eight to a block, all in one cell; empty lanes have no area."""
+    """Exposed surface, one block to a cell: the samples in each eighth of it stand together in one lane.
+
+    Area and centroid of every eighth are kept, so forces that vary within a quarter of a spacing are
+    averaged there; lanes without surface have no area.
+    """
     samples = exposed_surface(body.parts, max_edge=spacing / 2, exclude_boxes=boxes if len(boxes) else None)
     if not len(samples.area):
         return {}
-    cells = body.nearest_cell(samples.points)
-    order = np.lexsort(cells.T[::-1])
-    points, area, cells = samples.points[order], samples.area[order], cells[order]
-    first = np.flatnonzero(np.r_[True, (cells[1:] != cells[:-1]).any(1)])
-    counts = np.diff(np.r_[first, len(cells)])
-    block_cell, block_points, block_area = [], [], []
-    for start, count in zip(first, counts, strict=True):
-        for k in range(start, start + count, LANES):
-            stop = min(k + LANES, start + count)
-            p = np.repeat(points[k : k + 1], LANES, axis=0)
-            a = np.zeros(LANES)
-            p[: stop - k], a[: stop - k] = points[k:stop], area[k:stop]
-            block_cell.append(cells[k])
-            block_points.append(p)
-            block_area.append(a)
+    cells, block = np.unique(body.nearest_cell(samples.points), axis=0, return_inverse=True)
+    block = block.ravel()
+    centre = body.quadrature.origin + cells * body.quadrature.spacing
+    octant = (samples.points > centre[block]) @ np.array([4, 2, 1])
+    lane = block * LANES + octant
+    area = np.bincount(lane, samples.area, minlength=LANES * len(cells))
+    sums = [np.bincount(lane, samples.area * samples.points[:, c], minlength=len(area)) for c in range(3)]
+    points = np.stack(sums, axis=1) / np.where(area > 0, area, 1.0)[:, None]
+    points = np.where((area > 0)[:, None], points, np.repeat(centre, LANES, axis=0))
     return {
-        "surface_cell": np.array(block_cell, np.int32),
-        "surface_points": np.array(block_points),
-        "surface_area": np.array(block_area),
+        "surface_cell": cells.astype(np.int32),
+        "surface_points": points.reshape(-1, LANES, 3),
+        "surface_area": area.reshape(-1, LANES),
     }
 
 
