@@ -40,7 +40,8 @@ def look(page: Path, *options: str, folder: Path) -> str:
     """What a headless browser says of a page, without any network."""
     arguments = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000"]
     arguments += [f"--user-data-dir={folder}", "--host-resolver-rules=MAP * ~NOTFOUND"]
-    done = subprocess.run([browser(), *arguments, *options, page.as_uri()], capture_output=True, text=True, timeout=120)
+    command_line = [browser(), *arguments, *options, page.as_uri()]
+    done = subprocess.run(command_line, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
