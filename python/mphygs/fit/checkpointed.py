@@ -10,7 +10,7 @@ from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.run import Run, StageRecord
-from mphygs.fit.schedule import Stage, fit_belief, stages
+from mphygs.fit.schedule import Stage, fit_belief, plan_of
 from mphygs.simulate.prestress import RestShape
 
 # How many iterations a stage takes, as far as progress is concerned.
@@ -43,7 +43,7 @@ def fit_run(
     """
     if run.complete:
         return run
-    plan = stages(run.settings.spacing, warm=warm)
+    plan = plan_of(experiment.capture, run.settings.spacing, warm=warm)
     total = sum(_work(stage) for stage in plan)
     done = sum(_work(stage) for stage in plan[: len(run.history)])
     begin = time.monotonic()

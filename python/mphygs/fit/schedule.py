@@ -58,11 +58,16 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sta
         return (Stage("fine", spacing, 1.0, 12, 1e-4),)
     coarse = max(spacing, min(COARSE_FACTOR * spacing, coarsest))
     return (
-        Stage("coarse, first quarter", coarse, 0.25, 8, 3e-3),
-        Stage("coarse, first half", coarse, 0.5, 8, 3e-3),
-        Stage("coarse", coarse, 1.0, 10, 1e-3),
+        Stage("coarse, first quarter", coarse, 0.25, 6, 3e-3),
+        Stage("coarse, first half", coarse, 0.5, 4, 3e-3),
+        Stage("coarse", coarse, 1.0, 6, 1e-3),
         Stage("fine", spacing, 1.0, 8, 1e-4),
     )
+
+
+def plan_of(capture: Capture, spacing: float, *, warm: bool) -> tuple[Stage, ...]:
+    """The stages of a fit of a capture at a spacing [m]."""
+    return stages(spacing, warm=warm, coarsest=COARSEST * default_spacing(capture))
 
 
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
@@ -86,6 +91,25 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
     return best
 
 
+def simulable(problem: Problem, belief: Belief) -> Belief:
+    """The belief, stiffened where another grid cannot carry what the grid before it could.
+
+    Raises SimulationError when a factor of eight does not help.
+    """
+    for factor in (1.0, 1.3, 2.0, 4.0, 8.0):
+        trial = belief
+        for p in belief.free:
+            if p.key.endswith(".youngs_modulus"):
+                trial = trial.with_parameter(p.key, value=min(p.value * factor, p.upper))
+        try:
+            problem.evaluate(trial, jacobian=False)
+        except SimulationError as error:
+            failure = error
+            continue
+        return trial
+    raise failure
+
+
 def fit_belief(
     capture: Capture,
     belief: Belief,
@@ -104,7 +128,7 @@ def fit_belief(
     ranges: frames to fit per sequence; settings.spacing is the fine spacing; warm: the belief is near its
     minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here.
     """
-    plan = stages(settings.spacing, warm=warm, coarsest=COARSEST * default_spacing(capture))
+    plan = plan_of(capture, settings.spacing, warm=warm)
     problems = {} if problems is None else problems
     solution = None
     for number, stage in enumerate(plan):
@@ -124,6 +148,7 @@ def fit_belief(
                 rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
                 report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
 
+        belief = simulable(problem, belief)
         solution = minimise(
             problem, belief, iterations=stage.iterations, report=tell, relative_tolerance=stage.accuracy
         )

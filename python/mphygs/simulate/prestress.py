@@ -10,7 +10,11 @@ from mphygs import _core
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
 from mphygs.simulate.body import Body
+from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, direction, places, primal
+
+# Shares of the load on the way to it, where Newton's method does not get there at once.
+LOAD_STAGES = (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 class RestShape:
@@ -66,13 +70,24 @@ class RestShape:
         if signature != self._coordinates:
             start = self._solution["map"] if self._solution is not None else np.zeros(0)
             try:
-                self._solution = self._solver.solve(fields, self._body.quadrature.volumes, load, start)
-            except Exception:
-                if not len(start):
-                    raise
-                self._solution = self._solver.solve(fields, self._body.quadrature.volumes, load, np.zeros(0))
+                self._solution = self._newton(fields, load, start)
+            except SimulationError:
+                self._solution = self._ramped(fields, load)
             self._coordinates = signature
         return self._solution
+
+    def _newton(
+        self, fields: dict[str, np.ndarray], load: np.ndarray, start: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        return self._solver.solve(fields, self._body.quadrature.volumes, load, start)
+
+    def _ramped(self, fields: dict[str, np.ndarray], load: np.ndarray) -> dict[str, np.ndarray]:
+        """From no load to the whole of it in stages, for shapes that sag far. Raises SimulationError."""
+        start = np.zeros(0)
+        for share in LOAD_STAGES:
+            solution = self._newton(fields, share * load, start)
+            start = solution["map"]
+        return solution
 
     def tangent(self, belief: Belief, parameters: Sequence[Parameter]) -> list[dict[str, np.ndarray]]:
         """Derivatives of deformation0 and volume_ratio by the coordinates of parameters."""
