@@ -12,6 +12,7 @@ LIMIT = 8.0
 WHOLE = 0.2
 # More than this share of all markers is no longer a matter of single tracks.
 LARGEST_SHARE = 0.2
+SMALLEST_SHARE = 0.002
 
 
 def bad_observations(residual: np.ndarray, at: np.ndarray, sigma: float) -> np.ndarray:
@@ -35,6 +36,8 @@ def bad_observations(residual: np.ndarray, at: np.ndarray, sigma: float) -> np.n
     bad = seen & (gap > LIMIT * sigma) & (gap > 5.0 * np.maximum(spread, sigma))
     often = bad.mean(0) > WHOLE
     bad[:, often] = True
-    if often.mean() > LARGEST_SHARE or bad.mean() > LARGEST_SHARE:
+    # A handful of points beside a wall, say, is physics; a broken tracker breaks more often.
+    few = bad.mean() < SMALLEST_SHARE and not often.any()
+    if few or often.mean() > LARGEST_SHARE or bad.mean() > LARGEST_SHARE:
         return np.zeros((frames, markers), bool)
     return bad

@@ -94,9 +94,9 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
 def simulable(problem: Problem, belief: Belief) -> Belief:
     """The belief, stiffened where another grid cannot carry what the grid before it could.
 
-    Raises SimulationError when a factor of eight does not help.
+    Raises SimulationError when a factor of 64 does not help.
     """
-    for factor in (1.0, 1.3, 2.0, 4.0, 8.0):
+    for factor in (1.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0):
         trial = belief
         for p in belief.free:
             if p.key.endswith(".youngs_modulus"):
