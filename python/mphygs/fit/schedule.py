@@ -21,6 +21,9 @@ COARSE_FACTOR = 1.5
 # Of the default spacing: thin parts are lost on grids coarser than this.
 COARSEST = 2.0
 SCREENING_FACTOR = 1.7
+# How far any part's stiffness may be from the common scale that was found: without a bound a model that
+# lacks an effect makes a part of jelly that its own weight crushes.
+CONTRAST = 40.0
 # Common factors on all Young's moduli that are tried before anything else.
 SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
 
@@ -88,6 +91,10 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
             best, best_cost = trial, cost
     if best is None:
         raise SimulationError("no stiffness between 3 kPa and 3 MPa could be simulated from the start")
+    for key in keys:
+        p = best[key]
+        low, high = max(p.lower, p.value / CONTRAST), min(p.upper, p.value * CONTRAST)
+        best = best.with_parameter(key, lower=low, upper=high)
     return best
 
 
