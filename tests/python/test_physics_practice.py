@@ -32,7 +32,7 @@ def test_fitted_and_unseen_frames_reach_the_noise(case: str, effects: tuple[str,
         observation = one.observation
         for kind, (first, last) in (("fit", one.fit), ("predict", one.predict)):
             if last > first:
-                misfit = (observation.position - one.position)[first:last][observation.observed[first:last]]
+                misfit = (observation.position - one.predicted)[first:last][observation.observed[first:last]]
                 seen[name, kind] = float((misfit**2).mean() ** 0.5 / capture.sequence(name).markers.sigma)
     assert any(kind == "fit" for _, kind in seen) and any(kind == "predict" for _, kind in seen)
     assert max(seen.values()) <= HIGHEST, seen
