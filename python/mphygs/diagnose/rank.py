@@ -17,7 +17,7 @@ from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.trials import score_trials
 from mphygs.diagnose.trials_of import Trial, contact_trials, plasticity_trials
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.problem import Evaluation
+from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -75,13 +75,12 @@ def _peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
 
 def _stack(
     experiment: Experiment,
-    spacing: float,
+    problem: Problem,
     belief: Belief,
     ways: Sequence[Way],
     report: Callable[[str], None] | None,
 ) -> tuple:
     """Whitened Jacobian columns of all ways over the fitted frames, (N, Q), in the order of the ways."""
-    problem = experiment.problem(spacing)
     columns = [pair for way in ways for pair in way.columns]
     blocks, positions = [], {}
     for name, (first, last) in problem.ranges.items():
@@ -96,9 +95,11 @@ def _stack(
     return np.concatenate(blocks), positions
 
 
-def allowance_of(experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation) -> Allowance:
-    """The discretisation's share over the fitted frames, as nuisance directions."""
-    problem = experiment.problem(spacing)
+def allowance_of(
+    experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation, *, share: float = 1.0
+) -> Allowance:
+    """The discretisation's error over the first `share` of the fitted frames, as nuisance directions."""
+    problem = experiment.problem(spacing).narrowed(share)
     pieces, parts, frames = [], [], []
     for number, (name, (first, last)) in enumerate(problem.ranges.items()):
         finer = experiment.predictor(name, spacing / 1.5)
@@ -122,6 +123,7 @@ def rank(
     evaluation: Evaluation,
     spacing: float,
     *,
+    share: float = 1.0,
     generator: np.random.Generator,
     names: Sequence[str] | None = None,
     allowance: Allowance | None = None,
@@ -129,9 +131,10 @@ def rank(
 ) -> Ranking:
     """Rank all effects and faults that the model does not have.
 
-    evaluation: of the fit at `belief` and `spacing`, with Jacobian. names: effects to consider (None: all).
+    evaluation: of the fit at `belief` and `spacing` to the first `share` of the frames, with Jacobian.
+    names: effects to consider (None: all).
     """
-    problem = experiment.problem(spacing)
+    problem = experiment.problem(spacing).narrowed(share)
     rows = evaluation.data_rows
     residual = evaluation.residual[:rows]  # measured - predicted
     jacobian = -evaluation.jacobian[:rows]
@@ -150,7 +153,7 @@ def rank(
         }
         fps = experiment.capture.sequence(first_name).fps
         ways += base_motion_ways(belief, _peaks(misfits[first_name], fps, FREQUENCIES))
-    tangents, _ = _stack(experiment, spacing, belief, ways, report)
+    tangents, _ = _stack(experiment, problem, belief, ways, report)
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
     candidates, at = [], 0
     for way in ways:
@@ -160,11 +163,11 @@ def rank(
             Candidate(name=way.label, tangent=columns, lower_bounded=way.bounded, null=np.zeros(count))
         )
         at += count
-    share = allowance or Allowance()
-    if share.directions is not None:
-        padded = np.vstack([share.directions, np.zeros((len(prior), share.directions.shape[1]))])
-        share = Allowance(directions=padded)
-    table = score_candidates(full_residual, full_jacobian, candidates, generator=generator, allowance=share)
+    known = allowance or Allowance()
+    if known.directions is not None:
+        padded = np.vstack([known.directions, np.zeros((len(prior), known.directions.shape[1]))])
+        known = Allowance(directions=padded)
+    table = score_candidates(full_residual, full_jacobian, candidates, generator=generator, allowance=known)
     family = simulate_family(table, generator=generator)
     best: dict[str, tuple[Way, Score]] = {}
     for way, score in zip(ways, table.scores, strict=True):
@@ -177,7 +180,7 @@ def rank(
     for name, (way, score) in best.items():
         entries.append(_entry(name, way, score, table, family, names_of, belief, rows))
     entries += _trials(
-        experiment, belief, evaluation, spacing, full_residual, full_jacobian, generator, names, report
+        experiment, belief, evaluation, problem, full_residual, full_jacobian, generator, names, report
     )
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
     return Ranking(tuple(entries), float(residual @ residual), rows, table)
@@ -236,7 +239,7 @@ def _trials(
     experiment: Experiment,
     belief: Belief,
     evaluation: Evaluation,
-    spacing: float,
+    problem: Problem,
     residual: np.ndarray,
     jacobian: np.ndarray,
     generator: np.random.Generator,
@@ -244,7 +247,6 @@ def _trials(
     report: Callable[[str], None] | None,
 ) -> list[Entry]:
     """Threshold effects: the best of a few finite trials each, with the p-value of the best of so many."""
-    problem = experiment.problem(spacing)
     name, (_first, last) = next(iter(problem.ranges.items()))
     observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}

@@ -13,8 +13,8 @@ from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.schedule import fit_belief
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.schedule import find_scale, fit_belief
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 
@@ -30,6 +30,9 @@ BEGUN, FINISHED = 9, 3
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
+# Diagnosis looks at the first frames over which the misfit is between these [sigma].
+VISIBLE, TRACTABLE = 1.25, 4.0
+WINDOWS = (0.25, 0.4, 0.55, 0.75)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +93,46 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
     return total
 
 
+def forget(belief: Belief) -> Belief:
+    """The belief with its free materials back at the middle of their priors."""
+    parameters = []
+    for p in belief.parameters:
+        if p.free and p.log and np.isfinite(p.prior_std) and p.key.rsplit(".", 1)[0] in belief.parts:
+            p = replace(p, value=float(np.clip(np.exp(p.prior_mean), p.lower, p.upper)))
+        parameters.append(p)
+    return replace(belief, parameters=tuple(parameters))
+
+
+def tractable_window(
+    experiment: Experiment, current: Step, spacing: float, say: Callable[[str], None]
+) -> tuple[float, Solution]:
+    """The share of the fitted frames to diagnose on, and the model fitted to them.
+
+    A model that lacks a strong effect buys the whole motion with absurd materials, and no tangent there says
+    anything. Over its first frames the same model is nearly right: the window ends where the misfit is
+    clearly more than noise but still small.
+    """
+    evaluation = current.solution.evaluation
+    if evaluation.chi_square < TRACTABLE**2 * evaluation.data_rows:
+        return 1.0, current.solution
+    problem = experiment.problem(spacing)
+    best: tuple[float, Solution] | None = None
+    belief = current.belief
+    if not current.added:
+        belief = find_scale(problem.narrowed(WINDOWS[0]), forget(belief))
+    for share in WINDOWS:
+        solution = minimise(problem.narrowed(share), belief, iterations=8, relative_tolerance=1e-3)
+        belief = solution.belief
+        ratio = float(np.sqrt(solution.evaluation.chi_square / solution.evaluation.data_rows))
+        say(f"window of {share:.0%} of the frames: {ratio:.3f} sigma")
+        if best is not None and ratio > TRACTABLE:
+            break
+        best = (share, solution)
+        if ratio > VISIBLE:
+            break
+    return best
+
+
 def first_fit(
     experiment: Experiment,
     belief: Belief,
@@ -135,6 +178,7 @@ def promising(ranking: Ranking) -> list[Entry]:
 def refits_of(
     experiment: Experiment,
     current: Step,
+    window: tuple[float, Solution],
     ranking: Ranking,
     spacing: float,
     generator: np.random.Generator,
@@ -143,7 +187,7 @@ def refits_of(
     """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
     begun = []
     for entry in promising(ranking):
-        solution = start_refit(experiment, current.solution, entry, spacing, report=say)
+        solution = start_refit(experiment, window[1], entry, spacing, share=window[0], report=say)
         if solution is not None:
             begun.append((solution.evaluation.chi_square, entry, solution))
     begun.sort(key=lambda item: item[0])
@@ -227,12 +271,15 @@ def discover(
         generator = np.random.default_rng((seed, len(steps)))
         if current.assessment.adequate or len(current.belief.terms) >= LARGEST_MODEL:
             break
-        share = allowance_of(experiment, spacing, current.belief, current.solution.evaluation)
+        window = tractable_window(experiment, current, spacing, say)
+        fitted = window[1]
+        share = allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])
         ranking = rank(
             experiment,
-            current.belief,
-            current.solution.evaluation,
+            fitted.belief,
+            fitted.evaluation,
             spacing,
+            share=window[0],
             generator=generator,
             names=names,
             allowance=share,
@@ -244,7 +291,7 @@ def discover(
                 f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, "
                 f"p {entry.p_value:.2g}"
             )
-        finished = refits_of(experiment, current, ranking, spacing, generator, say)
+        finished = refits_of(experiment, current, window, ranking, spacing, generator, say)
         for r in finished:
             if r.surprising:
                 warnings.append(

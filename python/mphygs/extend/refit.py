@@ -86,14 +86,16 @@ def start_refit(
     entry: Entry,
     spacing: float,
     *,
+    share: float = 1.0,
     iterations: int = 3,
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
     """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate.
 
-    Returns None where no such model can be simulated.
+    share: of the fitted frames, from the first on, to refit on. Returns None where no such model can be
+    simulated.
     """
-    problem = experiment.problem(spacing)
+    problem = experiment.problem(spacing).narrowed(share)
     strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
     best, best_cost = None, np.inf
     predictor = next(iter(problem.predictors.values()))

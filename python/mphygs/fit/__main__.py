@@ -56,8 +56,8 @@ class FitOptions(CommonOptions):
     """How the rest shape carries gravity; default: as the capture says."""
     law: Literal["neo-hookean", "fixed-corotated"] = "neo-hookean"
     """Law of elasticity."""
-    optimiser: Literal["gauss-newton"] = "gauss-newton"
-    """How the misfit is minimised."""
+    optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
+    """Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, which is slower for so few unknowns."""
     plugin: Path | None = None
     """Python file that registers effects of your own, to be named like the others."""
     seed: int = 0
@@ -98,7 +98,8 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
     console.begin()
-    state = fit_run(state, experiment, progress=console.progress)
+    optimiser = str(state.options["optimiser"])
+    state = fit_run(state, experiment, optimiser=optimiser, progress=console.progress)
     state = replace(state, answer=_answer(state, experiment, console))
     state.save()
     return state, capture

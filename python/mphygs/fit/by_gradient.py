@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.fit.gradient_optimisers import minimise_by_gradient
@@ -50,16 +48,9 @@ def fit_by_gradient(
         if number == 0 and not warm:
             belief = find_scale(problem, belief, report)
 
-        def tell(
-            iteration: int,
-            cost: float,
-            _belief: Belief,
-            stage: Stage = stage,
-            rows: int = int(sum(o.observed[slice(*ranges[n])].sum() for n, o in observations.items() if n in ranges)),
-        ) -> None:
+        def tell(iteration: int, cost: float, _belief: Belief, stage: Stage = stage) -> None:
             if report and iteration % GRADIENTS == 0:
-                rms = np.sqrt(2.0 * cost / max(3 * rows * stage.share, 1.0))
-                report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
+                report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, cost {cost:.4g}")
 
         solution = minimise_by_gradient(
             problem,

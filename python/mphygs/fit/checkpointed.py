@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
@@ -33,12 +34,13 @@ def fit_run(
     run: Run,
     experiment: Experiment,
     *,
+    optimiser: str = "gauss-newton",
     warm: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Run:
     """Run the stages that a run has not had yet; the folder is written after each of them.
 
-    warm: the run's belief is near its minimum already; progress: told the share of the work done, and a line.
+    optimiser: gauss-newton, adam or lbfgs; warm: the run's belief is near its minimum already; progress: told the share of the work done, and a line.
     Raises SimulationError where the fit cannot start.
     """
     if run.complete:
@@ -81,7 +83,13 @@ def fit_run(
         done, begin, steps = done + _work(stage), now, 0
 
     _forget(experiment)
-    fit_belief(
+    minimiser: Callable[..., object] = fit_belief
+    if optimiser != "gauss-newton":
+        # torch takes seconds to import, and Gauss-Newton does without it.
+        from mphygs.fit.by_gradient import fit_by_gradient
+
+        minimiser = partial(fit_by_gradient, method=optimiser)
+    minimiser(
         experiment.capture,
         run.belief,
         experiment.fitted,

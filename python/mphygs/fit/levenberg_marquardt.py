@@ -93,7 +93,8 @@ def minimise(
                 step *= longest_step / np.abs(step[logs]).max()
             promised = -float(gradient @ step + 0.5 * step @ normal @ step)
             # A model that is far from the data anyway is not worth the last digits of its numbers.
-            worth = relative_tolerance * (10.0 if current.chi_square > 4.0 * current.data_rows else 1.0)
+            misfit = current.chi_square / max(current.data_rows, 1)
+            worth = relative_tolerance * (100.0 if misfit > 25.0 else 10.0 if misfit > 4.0 else 1.0)
             if largest == 0.0 or promised < tolerance + worth * current.cost:
                 converged, reason = True, "converged"
                 break

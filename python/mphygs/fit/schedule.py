@@ -117,6 +117,22 @@ def simulable(problem: Problem, belief: Belief) -> Belief:
     raise failure
 
 
+def _better_start(problem: Problem, belief: Belief, earlier: tuple[Belief, ...]) -> Belief:
+    """The belief, or one of the stages before it where this grid likes that better.
+
+    A model that cannot follow the whole motion ends in a corner that another grid puts elsewhere.
+    """
+    best, cost = simulable(problem, belief), np.inf
+    for candidate in (best, *earlier[:-1]):
+        try:
+            value = problem.evaluate(candidate, jacobian=False).cost
+        except SimulationError:
+            continue
+        if value < cost:
+            best, cost = candidate, value
+    return best
+
+
 def fit_belief(
     capture: Capture,
     belief: Belief,
@@ -138,6 +154,7 @@ def fit_belief(
     plan = plan_of(capture, settings.spacing, warm=warm)
     problems = {} if problems is None else problems
     solution = None
+    earlier: tuple[Belief, ...] = ()
     for number, stage in enumerate(plan):
         if number < start_stage:
             continue
@@ -155,11 +172,12 @@ def fit_belief(
                 rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
                 report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
 
-        belief = simulable(problem, belief)
+        belief = _better_start(problem, belief, earlier)
         solution = minimise(
             problem, belief, iterations=stage.iterations, report=tell, relative_tolerance=stage.accuracy
         )
         belief = solution.belief
+        earlier = (earlier + (belief,))[-2:]
         problems[stage.spacing].predictors.update(problem.predictors)
         if after_stage:
             after_stage(stage, solution)
