@@ -49,6 +49,8 @@ class SynthOptions(CommonOptions):
     """What the capture tells of the masses: density of the first part, of all parts, or the whole mass."""
     spacing_share: float = 0.62
     """Grid spacing of the truth over the default spacing of a fit."""
+    simulator: Literal["total-lagrangian", "finite-element"] = "total-lagrangian"
+    """What computes the truth: the core on its own grid, or independent finite elements (bars only)."""
     seed: int = 0
     """Of materials, marker places and noise."""
 
@@ -96,6 +98,7 @@ def _recipe(options: SynthOptions) -> Recipe:
         marker_count=options.markers,
         spacing_share=options.spacing_share,
         known=options.known,
+        simulator=options.simulator,
     )
 
 

@@ -14,6 +14,7 @@ from mphygs.capture.format import Capture, Hold, Known, Markers, save_capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.schedule import default_spacing
 from mphygs.synth.faults import seen_through, shifted
+from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.markers import measure, place_markers
 from mphygs.synth.motions import hold_poses
@@ -47,6 +48,7 @@ def make_capture(
     offset = faults["time_offset"]["offset"] if "time_offset" in faults else 0.0
     capture = _bare_capture(recipe, folder, places)
     spacing = recipe.spacing_share * default_spacing(capture)
+    run = simulate_finite_element if recipe.simulator == "finite-element" else simulate
     physics = tuple(h for h in recipe.hidden if h.kind != "fault")
     recordings, differences, outliers, substeps = [], [], {}, []
     motions: dict[str, Motion] = {}
@@ -54,7 +56,7 @@ def make_capture(
         longer = _recording(recipe, take, places, extra=max(0, math.ceil(offset * take.fps)))
         if report:
             report(f"{take.name}: {longer.frames} frames at {1e3 * spacing:.3g} mm")
-        motions[take.name] = motion = simulate(capture, longer, recipe, physics, spacing)
+        motions[take.name] = motion = run(capture, longer, recipe, physics, spacing)
         substeps.append(motion.substeps)
         seen, lost = _seen(motion, take, faults, offset, np.random.default_rng([recipe.seed, 3, number]))
         if len(lost):
@@ -66,7 +68,7 @@ def make_capture(
             if report:
                 report(f"{take.name}: without what is hidden")
             plain = (
-                simulate(capture, recording, recipe, (), spacing).position
+                run(capture, recording, recipe, (), spacing).position
                 if physics
                 else motion.position[: take.frames]
             )
@@ -74,7 +76,7 @@ def make_capture(
     capture = replace(capture, sequences=tuple(recordings))
     save_capture(capture, folder)
     answer = _answer(recipe, differences, outliers, motions)
-    answer["simulation"] = {"simulator": "total-lagrangian", "spacing": spacing, "substeps": substeps}
+    answer["simulation"] = {"simulator": recipe.simulator, "spacing": spacing, "substeps": substeps}
     (folder / "answer.json").write_text(
         json.dumps(answer, indent=1, allow_nan=False) + "\n", encoding="utf-8"
     )
@@ -129,7 +131,7 @@ def _seen(
     if offset:
         recorded = np.arange(len(motion.position)) / take.fps
         position = shifted(recorded, motion.position, motion.velocity, times + offset)
-    return seen_through(position, times, faults, motion.attachment.hold < 0, generator)
+    return seen_through(position, times, faults, motion.movable, generator)
 
 
 def _difference(seen: np.ndarray, plain: np.ndarray, take: Take, sigma: float) -> dict[str, float]:

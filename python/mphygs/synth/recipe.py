@@ -12,6 +12,7 @@ from mphygs.synth.markers import Noise
 from mphygs.synth.motions import Motion
 from mphygs.synth.shapes import Shape, shape
 
+SIMULATORS = ("total-lagrangian", "finite-element")
 KNOWN = ("first-density", "densities", "mass")
 
 
@@ -43,6 +44,8 @@ class Recipe:
 
     spacing_share: of the fit's default spacing, at which the truth is simulated; known: what the capture
     states beside Poisson's ratio, the density of the first part, of all parts, or the mass of the object.
+    simulator: "total-lagrangian", or "finite-element" for code that shares nothing with the model fitted; its
+    bricks are twice the spacing, having three nodes each way.
     """
 
     name: str
@@ -55,8 +58,11 @@ class Recipe:
     seed: int = 0
     spacing_share: float = 0.62
     known: str = "first-density"
+    simulator: str = "total-lagrangian"
 
     def __post_init__(self) -> None:
+        if self.simulator not in SIMULATORS:
+            raise ValueError(f"simulator '{self.simulator}': expected one of {', '.join(SIMULATORS)}")
         if self.known not in KNOWN:
             raise ValueError(f"known '{self.known}': expected one of {', '.join(KNOWN)}")
 
@@ -141,6 +147,7 @@ def recipe(
     spacing_share: float = 0.62,
     sizes: Mapping[str, float] | None = None,
     known: str = "first-density",
+    simulator: str = "total-lagrangian",
 ) -> Recipe:
     """A recipe from names. kind: as in shapes; hidden: each `name` or `name:key=value:...`.
 
@@ -164,4 +171,5 @@ def recipe(
         seed=seed,
         spacing_share=spacing_share,
         known=known,
+        simulator=simulator,
     )

@@ -11,7 +11,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import Attachment, Body
+from mphygs.simulate.body import Body
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.hidden import Hidden
@@ -20,11 +20,12 @@ from mphygs.synth.recipe import Recipe
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Markers in all frames: position (T, M, 3) [m], velocity (T, M, 3) [m/s]; substeps: number computed."""
+    """Markers in all frames: position (T, M, 3) [m], velocity (T, M, 3) [m/s]; movable: (M,)
+    bool, not carried by a hold; substeps: number computed."""
 
     position: np.ndarray
     velocity: np.ndarray
-    attachment: Attachment
+    movable: np.ndarray
     substeps: int
 
 
@@ -52,7 +53,9 @@ def simulate(
     settings = Settings(spacing=spacing, workers=1)
     predictor = _CausedPredictor(capture, recording, settings, causes)
     prediction = predictor.predict(belief)
-    return Motion(prediction.position, prediction.velocity, predictor.attachment, prediction.substeps)
+    return Motion(
+        prediction.position, prediction.velocity, predictor.attachment.hold < 0, prediction.substeps
+    )
 
 
 class _CausedPredictor(Predictor):

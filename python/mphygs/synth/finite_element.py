@@ -1,0 +1,268 @@
+"""An independent simulator: explicit finite elements of second order, no code shared with the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mphygs.capture.format import Capture
+from mphygs.capture.record import Sequence as Recording
+from mphygs.simulate.errors import SimulationError
+from mphygs.synth.brick_mesh import brick_mesh
+from mphygs.synth.causes import CAUSES, Material
+from mphygs.synth.finite_element_stress import MaterialStress
+from mphygs.synth.hidden import Hidden
+from mphygs.synth.recipe import Recipe
+from mphygs.synth.truth import Motion
+
+AIR_DENSITY = 1.2  # [kg/m^3]
+# Share of the stable step that is used.
+SAFETY = 0.6
+OUTSIDE = (
+    "gravity", "mass_damping", "air_drag", "wind", "contact", "attached_mass", "tether", "base_motion",
+    "compressibility", "stiffness_gradient", "density_gradient",
+)  # fmt: skip
+KNOWN = (*MaterialStress.KNOWN, *OUTSIDE)
+
+
+def simulate_finite_element(
+    capture: Capture, recording: Recording, recipe: Recipe, hidden: Sequence[Hidden], spacing: float
+) -> Motion:
+    """True motion of the markers of one recording, by central differences in time.
+
+    spacing: of a grid as fine as the bricks [m]. Raises ValueError for objects, rests and effects that it
+    does not know, SimulationError where the motion is unstable.
+    """
+    for thing in hidden:
+        if thing.kind == "effect" and thing.name not in KNOWN:
+            raise ValueError(
+                f"the finite-element simulator has no '{thing.name}'; expected some of {', '.join(KNOWN)}"
+            )
+    if capture.rest != "stress-free":
+        raise ValueError(
+            "the finite-element simulator starts from stress-free rest, the object's is equilibrium"
+        )
+    # A brick has three nodes each way, a grid cell one of its own: twice the size is as fine.
+    body = _Body(capture, recording, recipe, hidden, 2.0 * spacing)
+    return body.run()
+
+
+class _Body:
+    """One object under one hold on its lower x end, and what acts on it."""
+
+    def __init__(
+        self, capture: Capture, recording: Recording, recipe: Recipe, hidden: Sequence[Hidden], size: float
+    ) -> None:
+        self.recording, self.hold = recording, recording.held[0]
+        self.start = float(self.hold.box[1, 0])
+        self.mesh = mesh = brick_mesh(capture.parts, self.start, size)
+        self.effects = {h.name: h.values for h in hidden if h.kind == "effect"}
+        self.terms = {h.name: h for h in hidden if h.kind == "effect"}
+        names = tuple(part.name for part in capture.parts)
+        materials = [recipe.materials[n] for n in names]
+        youngs = np.array([m.youngs_modulus for m in materials])[mesh.part][:, None]
+        youngs = youngs * np.exp(self._slope("stiffness_gradient", names, mesh.points))
+        ratio = np.array([m.poissons_ratio for m in materials])[mesh.part][:, None] + np.zeros_like(youngs)
+        if "compressibility" in self.effects:
+            ratio = np.full_like(youngs, self.effects["compressibility"]["nu"])
+        mu = youngs / (2.0 * (1.0 + ratio))
+        lame = youngs * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
+        self.stress = MaterialStress(mu.ravel(), lame.ravel(), self.effects)
+        density = np.array([m.density for m in materials])[mesh.part][:, None]
+        at_nodes = density * np.exp(self._slope("density_gradient", names, mesh.nodes[mesh.element]))
+        self.mass = mesh.gather @ (at_nodes * mesh.node_volume).ravel()
+        at_points = density * np.exp(self._slope("density_gradient", names, mesh.points))
+        self.point_mass = (at_points * mesh.volume).ravel()
+        self.held = np.isclose(mesh.nodes[:, 0], self.start, atol=1e-9)
+        self.gravity = np.asarray(capture.gravity, float)
+        if "gravity" in self.effects:
+            self.gravity = self.gravity + [self.effects["gravity"][f"delta_g_{a}"] for a in "xyz"]
+        self.causes = [
+            (h, np.repeat(mesh.part == names.index(str(h.settings["part"])), 27) if "part" in h.settings
+             else np.ones(27 * len(mesh.part), bool))
+            for h in hidden if h.kind == "cause"
+        ]  # fmt: skip
+        self.places = {
+            n: mesh.weights(np.array([t.settings["place"]]))
+            for n, t in self.terms.items()
+            if "place" in t.settings
+        }
+        self.youngs_modulus = float(youngs.max())
+        self.modulus = lame + 2.0 * mu
+        self.least_density = float(np.broadcast_to(at_points, mesh.volume.shape).min())
+
+    def _slope(self, name: str, names: tuple[str, ...], points: np.ndarray) -> np.ndarray:
+        """slope (X - centroid).axis of a gradient effect in its part, 0 elsewhere; points: (E, n, 3)."""
+        if name not in self.effects:
+            return np.zeros(points.shape[:2])
+        own = self.mesh.part == names.index(str(self.terms[name].settings["part"]))
+        axis = np.asarray(self.terms[name].settings["axis"], float)
+        volume = self.mesh.volume[own]
+        centroid = np.einsum("en,enc->c", volume, self.mesh.points[own]) / volume.sum()
+        arm = (points - centroid) @ (axis / np.linalg.norm(axis))
+        return self.effects[name]["slope"] * np.where(own[:, None], arm, 0.0)
+
+    def step(self) -> float:
+        """A stable step [s]: omega^2 dt^2 + 2 c dt < 4 for the fastest wave and decay in a brick."""
+        curvature = 24.0 * float((1.0 / self.mesh.size**2).sum(1).max())
+        modulus = self.modulus.max()
+        modulus += 4.0 * self.effects.get("fibre", {}).get("k_f", 0.0)
+        modulus += 0.2 * self.effects.get("stiffening", {}).get("c_2", 0.0)
+        modulus *= 1.0 + self.effects.get("relaxation", {}).get("ratio", 0.0)
+        stiffness = curvature * modulus / self.least_density
+        if "contact" in self.effects:
+            stiffness += float((self._contact_stiffness() * self.mesh.surface_area / self.mass).max())
+        damping = (
+            curvature * self.effects.get("viscosity", {}).get("eta", 0.0) * 4.0 / 3.0 / self.least_density
+        )
+        return SAFETY * (-damping + math.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
+
+    def _contact_stiffness(self) -> float:
+        """Pressure per depth [Pa/m], as stiff as half a brick."""
+        given = self.effects["contact"]["stiffness"]
+        return given or 2.0 * self.youngs_modulus / float(self.mesh.size.min())
+
+    def _inside(self, u: np.ndarray, v: np.ndarray, time: float, dt: float) -> np.ndarray:
+        """(N, 3) [N] of the material's stress and of causes outside the list."""
+        mesh = self.mesh
+        moved = np.ascontiguousarray(u[mesh.element].transpose(2, 0, 1))  # (3, E, 27)
+        speed = np.ascontiguousarray(v[mesh.element].transpose(2, 0, 1))
+        deformation = self._gradient(moved)
+        for a in range(3):
+            deformation[a, a] += 1.0
+        rate = self._gradient(speed) if "viscosity" in self.effects else None
+        stress = self.stress.stress(deformation, rate, time, dt)
+        body_force = None
+        for thing, where in self.causes:
+            points = mesh.points.reshape(-1, 3)
+            state = Material(
+                points,
+                points + (moved @ mesh.value.T).reshape(3, -1).T,
+                (speed @ mesh.value.T).reshape(3, -1).T,
+                deformation.transpose(2, 0, 1),
+                self.point_mass,
+                mesh.volume.ravel(),
+                where,
+                time,
+            )
+            force, more = CAUSES[thing.name].function(state, thing.values)
+            if more is not None:
+                stress = stress + more.transpose(1, 2, 0)
+            if force is not None:
+                body_force = force if body_force is None else body_force + force
+        weighted = (stress * mesh.volume.ravel()).reshape(3, 3, *mesh.volume.shape)
+        nodal = np.zeros_like(moved)
+        for j in range(3):
+            nodal -= (weighted[:, j] * (2.0 / mesh.size[:, j, None])) @ mesh.slope[j]
+        if body_force is not None:
+            nodal += np.ascontiguousarray(body_force.T).reshape(moved.shape) @ mesh.value
+        return mesh.gather @ nodal.reshape(3, -1).T
+
+    def _gradient(self, values: np.ndarray) -> np.ndarray:
+        """(3, 3, Q) derivative along x, y, z at the Gauss points of element values (3, E, 27)."""
+        out = np.empty((3, 3, *self.mesh.volume.shape))
+        for j in range(3):
+            np.matmul(values, self.mesh.slope[j].T, out=out[:, j])
+            out[:, j] *= 2.0 / self.mesh.size[:, j, None]
+        return out.reshape(3, 3, -1)
+
+    def _outside(self, x: np.ndarray, v: np.ndarray, time: float) -> np.ndarray:
+        """(N, 3) [N] of weight and of the effects that act on nodes, surface and places."""
+        field = np.broadcast_to(self.gravity, x.shape)
+        if "base_motion" in self.effects:
+            values = self.effects["base_motion"]
+            wave = math.sin(2.0 * math.pi * values["f"] * time + values["phase"])
+            field = field - wave * np.array([values[f"a_{a}"] for a in "xyz"])
+        if "mass_damping" in self.effects:
+            field = field - self.effects["mass_damping"]["alpha"] * v
+        force = self.mass[:, None] * field
+        area = self.mesh.surface_area[:, None]
+        for name in ("air_drag", "wind"):
+            if name in self.effects:
+                values = self.effects[name]
+                flow = np.array([values.get(f"w_{a}", 0.0) for a in "xyz"])
+                against = v - flow
+                speed = np.linalg.norm(against, axis=1, keepdims=True)
+                force = force - 0.5 * AIR_DENSITY * values["c_d"] * area * speed * against
+        if "contact" in self.effects:
+            values = self.effects["contact"]
+            normal = np.array([values[f"n_{a}"] for a in "xyz"])
+            depth = np.maximum(values["d"] - x @ normal, 0.0)[:, None]
+            pressing = self._contact_stiffness() * area * depth
+            slip = v - (v @ normal)[:, None] * normal
+            speed = np.sqrt((slip**2).sum(1, keepdims=True) + 1e-6)
+            force = force + pressing * normal - values["mu"] * pressing * slip / speed
+        if "tether" in self.effects:
+            values, at = self.effects["tether"], self.places["tether"]
+            anchor = np.array([values[f"anchor_{a}"] for a in "xyz"])
+            force = force - at.T @ (values["k"] * (at @ x - anchor))
+        return force
+
+    def _acceleration(self, u: np.ndarray, v: np.ndarray, time: float, dt: float) -> np.ndarray:
+        force = self._inside(u, v, time, dt) + self._outside(self.mesh.nodes + u, v, time)
+        result = force / self.mass[:, None]
+        if "attached_mass" in self.effects:
+            # A point mass adds m n n^T to the diagonal mass (Sherman-Morrison), and feels every body force.
+            at, mass = self.places["attached_mass"], self.effects["attached_mass"]["m"]
+            n = at.toarray()[0]
+            pull = self._body_field(n @ v, time)
+            result = result + np.outer(n / self.mass, mass * pull)
+            added = n @ (n / self.mass)
+            result -= np.outer(n / self.mass, mass * (n @ result) / (1.0 + mass * added))
+        return result
+
+    def _body_field(self, v: np.ndarray, time: float) -> np.ndarray:
+        """(3,) [m/s^2] acceleration by weight and body effects at a point of velocity v."""
+        field = self.gravity.copy()
+        if "base_motion" in self.effects:
+            values = self.effects["base_motion"]
+            wave = math.sin(2.0 * math.pi * values["f"] * time + values["phase"])
+            field -= wave * np.array([values[f"a_{a}"] for a in "xyz"])
+        if "mass_damping" in self.effects:
+            field -= self.effects["mass_damping"]["alpha"] * v
+        return field
+
+    def run(self) -> Motion:
+        """Markers in all frames: central differences, velocities at the half steps."""
+        recording, mesh = self.recording, self.mesh
+        places = recording.markers.at
+        markers = mesh.weights(places)
+        first = recording.release or 0
+        steps = math.ceil(1.0 / recording.fps / self.step())
+        dt = 1.0 / recording.fps / steps
+        begin = first / recording.fps
+        times = begin + dt * np.arange(steps * (recording.frames - 1 - first) + 1)
+        rotation, shift = self.hold.poses(times, recording.fps)
+        gripped = mesh.nodes[self.held]
+        u, v = np.zeros_like(mesh.nodes), np.zeros_like(mesh.nodes)
+        position = np.repeat(places[None], recording.frames, axis=0)
+        velocity = np.zeros_like(position)
+        for k in range(len(times) - 1):
+            kick = self._acceleration(u, v, times[k], dt)
+            late = v + (0.5 if k == 0 else 1.0) * dt * kick
+            moved = u + dt * late
+            moved[self.held] = gripped @ rotation[k + 1].T + shift[k + 1] - gripped
+            late[self.held] = (moved[self.held] - u[self.held]) / dt
+            if (k + 1) % steps == 0:
+                frame = first + (k + 1) // steps
+                position[frame] = places + markers @ moved
+                # Half a step on from the half step: the state's own time.
+                velocity[frame] = markers @ (late + 0.5 * dt * kick)
+                if not np.isfinite(position[frame]).all():
+                    raise SimulationError(f"finite elements: unstable before frame {frame}")
+            u, v = moved, late
+        self._carry(places, position, velocity)
+        return Motion(position, velocity, places[:, 0] > self.start, len(times) - 1)
+
+    def _carry(self, places: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Markers on what is held follow it rigidly."""
+        held = places[:, 0] <= self.start
+        times = np.arange(self.recording.frames) / self.recording.fps
+        rotation, shift = self.hold.poses(times, self.recording.fps)
+        position[:, held] = np.einsum("tij,mj->tmi", rotation, places[held]) + shift[:, None]
+        step = 1e-4
+        (r1, p1), (r0, p0) = (self.hold.poses(times + d, self.recording.fps) for d in (step, -step))
+        velocity[:, held] = np.einsum("tij,mj->tmi", r1 - r0, places[held]) / (2.0 * step)
+        velocity[:, held] += (p1 - p0)[:, None] / (2.0 * step)

@@ -1,0 +1,142 @@
+"""The independent finite elements and the core tell the same story, effect by effect."""
+
+import numpy as np
+import pytest
+
+from mphygs.synth.brick_mesh import brick_mesh
+from mphygs.synth.finite_element_stress import MaterialStress
+from mphygs.synth.make import make_capture
+from mphygs.synth.shapes import flower, two_part_bar
+from synth_example import made, small, tracks
+
+FRAMES = 9
+# The effect's own change of the motion, one simulator against the other, on coarse grids.
+TOLERANCE = 0.15
+COMPARED = ("gravity:delta_g_y=3", "mass_damping:alpha=5")
+
+
+def positions(folder, simulator: str, hidden: tuple[str, ...]) -> np.ndarray:
+    options = {"frames": FRAMES, "simulator": simulator, "noise_free": True, "spacing_share": 1.25}
+    return tracks(made(folder, "two-part-bar", hidden, **options)[1])
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> dict[str, np.ndarray]:
+    """The motion without anything hidden, by either simulator."""
+    folder = tmp_path_factory.mktemp("plain")
+    return {s: positions(folder / s, s, ()) for s in ("finite-element", "total-lagrangian")}
+
+
+def test_two_simulators_agree_without_any_effect(plain) -> None:
+    moved = np.abs(plain["finite-element"] - plain["finite-element"][0]).max()
+    apart = np.abs(plain["finite-element"] - plain["total-lagrangian"]).max()
+    assert moved > 5e-3
+    # Not the same to the last digit: they share no discretisation.
+    assert 1e-6 < apart < 0.05 * moved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", COMPARED)
+def test_an_effect_does_the_same_in_both(hidden, plain, tmp_path) -> None:
+    change = {s: positions(tmp_path / s, s, (hidden,)) - plain[s] for s in plain}
+    ours, core = change["finite-element"], change["total-lagrangian"]
+    assert np.abs(core).max() > 5e-4
+    assert np.linalg.norm(ours - core) < TOLERANCE * np.linalg.norm(core)
+
+
+def random_state(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Deformation and its rate at five points, (3, 3, 5)."""
+    generator = np.random.default_rng(seed)
+    f = np.eye(3)[..., None] + 0.15 * generator.standard_normal((3, 3, 5))
+    return f, generator.standard_normal((3, 3, 5))
+
+
+def energy(f: np.ndarray, fibre: float, c_2: float) -> np.ndarray:
+    """(5,) of the neo-Hookean solid with mu 2, lambda 3, a fibre along z and a second-order term."""
+    square, j = np.einsum("ijq,ijq->q", f, f), np.linalg.det(np.moveaxis(f, 2, 0))
+    base = (square - 3.0) - 2.0 * np.log(j) + 1.5 * np.log(j) ** 2
+    return base + 0.5 * fibre * ((f[:, 2] ** 2).sum(0) - 1.0) ** 2 + c_2 * (j ** (-2 / 3) * square - 3.0) ** 2
+
+
+@pytest.mark.parametrize(("fibre", "c_2"), [(0.0, 0.0), (4.0, 0.0), (0.0, 5.0)])
+def test_elastic_stress_is_the_slope_of_the_energy(fibre, c_2) -> None:
+    f, rate = random_state()
+    effects = {"fibre": {"k_f": fibre, "a_x": 0.0, "a_y": 0.0, "a_z": 1.0}, "stiffening": {"c_2": c_2}}
+    material = MaterialStress(np.full(5, 2.0), np.full(5, 3.0), effects)
+    stress = material.stress(f, rate, 0.0, 1e-3)
+    for i in range(3):
+        for k in range(3):
+            step = np.zeros((3, 3, 1))
+            step[i, k] = 1e-6
+            slope = (energy(f + step, fibre, c_2) - energy(f - step, fibre, c_2)) / 2e-6
+            assert stress[i, k] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("growth", [0.0, 0.3])
+def test_viscous_stress_is_twice_eta_times_the_deviator_of_the_rate(growth) -> None:
+    f, rate = random_state(1)
+    grown = {"eigenstrain": {"rate": growth}} if growth else {}
+    plain = MaterialStress(np.full(5, 2.0), np.full(5, 3.0), grown)
+    viscous = MaterialStress(np.full(5, 2.0), np.full(5, 3.0), grown | {"viscosity": {"eta": 7.0}})
+    added = viscous.stress(f, rate, 0.5, 1e-3) - plain.stress(f, rate, 0.5, 1e-3)
+    for q in range(5):
+        spin = rate[..., q] @ np.linalg.inv(f[..., q])
+        d = 0.5 * (spin + spin.T)
+        cauchy = 14.0 * (d - np.trace(d) / 3.0 * np.eye(3))
+        measured = added[..., q] @ f[..., q].T / np.linalg.det(f[..., q])
+        assert measured == pytest.approx(cauchy, rel=1e-9, abs=1e-9)
+
+
+def test_a_grown_solid_is_free_of_stress_at_its_grown_size_alone() -> None:
+    material = MaterialStress(np.full(1, 2.0), np.full(1, 3.0), {"eigenstrain": {"rate": 0.2}})
+    size = np.exp(0.2 * 1.5)
+    still = np.zeros((3, 3, 1))
+    assert np.abs(material.stress(size * np.eye(3)[..., None], still, 1.5, 1e-3)).max() < 1e-12
+    assert np.abs(material.stress(np.eye(3)[..., None] + still, still, 1.5, 1e-3)).max() > 0.5
+
+
+def test_the_maxwell_branch_jumps_and_relaxes() -> None:
+    effects = {"relaxation": {"ratio": 0.5, "tau": 0.2}}
+    material = MaterialStress(np.full(1, 2.0), np.full(1, 3.0), effects)
+    rest, still = np.eye(3)[..., None], np.zeros((3, 3, 1))
+    stretched = np.diag([1.3, 1.0, 1.0])[..., None]
+    base = MaterialStress(np.full(1, 2.0), np.full(1, 3.0), {}).stress(stretched, still, 0.0, 1e-4)
+    material.stress(rest, still, 0.0, 1e-4)
+    jump = material.stress(stretched, still, 1e-4, 1e-4)
+    assert jump == pytest.approx(1.5 * base, rel=1e-3)
+    for k in range(2000):
+        later = material.stress(stretched, still, 1e-4 * (k + 2), 1e-4)
+    assert later == pytest.approx((1.0 + 0.5 * np.exp(-1.0)) * base, rel=2e-3)
+
+
+def test_the_mesh_has_the_volume_the_area_and_exact_slopes() -> None:
+    body = two_part_bar()
+    mesh = brick_mesh(body.parts, 0.0072, 0.0101)
+    (x, y, z) = (0.09 - 0.0072, 0.018, 0.020)
+    assert mesh.volume.sum() == pytest.approx(x * y * z)
+    assert mesh.node_volume.sum() == pytest.approx(x * y * z)
+    assert (mesh.node_volume > 0.0).all()
+    assert mesh.surface_area.sum() == pytest.approx(2.0 * x * (y + z) + y * z)
+    assert mesh.size.max() <= 0.0101
+    split = 0.55 * 0.09
+    assert ((mesh.points[..., 0] < split) == (mesh.part == 0)[:, None]).all()
+    quadratic = mesh.nodes[:, 0] ** 2 * mesh.nodes[:, 1]
+    slopes = [(quadratic[mesh.element] @ mesh.slope[j].T) * (2.0 / mesh.size[:, j, None]) for j in range(3)]
+    px, py = mesh.points[..., 0], mesh.points[..., 1]
+    assert slopes[0] == pytest.approx(2.0 * px * py)
+    assert slopes[1] == pytest.approx(px**2)
+    assert slopes[2] == pytest.approx(np.zeros_like(px), abs=1e-12)
+    somewhere = np.array([[0.05, 0.004, -0.003], [0.08, -0.009, 0.01]])
+    assert mesh.weights(somewhere) @ mesh.nodes == pytest.approx(somewhere)
+
+
+def test_what_it_does_not_know_is_refused(tmp_path) -> None:
+    for hidden in ("plasticity", "hold_compliance"):
+        with pytest.raises(ValueError, match=hidden):
+            make_capture(small("bar", (hidden,), simulator="finite-element"), tmp_path)
+    with pytest.raises(ValueError, match="stress-free"):
+        make_capture(small("flower", simulator="finite-element"), tmp_path)
+    with pytest.raises(ValueError, match="boxes"):
+        brick_mesh(flower().parts, 0.0, 0.01)
+    with pytest.raises(ValueError, match="expected one of total-lagrangian"):
+        small("bar", simulator="crystal-ball")
