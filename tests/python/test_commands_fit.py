@@ -93,6 +93,17 @@ def test_same_options_same_numbers_and_resume_too(
     assert all(one[key].tobytes() == other[key].tobytes() for key in other)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("optimiser", ["adam", "lbfgs"])
+def test_gradients_end_at_the_same_minimum(
+    optimiser: str, fitted: dict, capture: Path, tmp_path: Path
+) -> None:
+    options = ("--effects", "viscosity", "--optimiser", optimiser, *OPTIONS)
+    found = answer(command.main, capture, *options, "--out", tmp_path / "run")["parameters"]
+    for key, entry in fitted["parameters"].items():
+        assert abs(found[key]["value"] - entry["value"]) < entry["std"]
+
+
 def test_resume_wants_the_same_options(fitted: dict) -> None:
     code, _, stderr = call(command.main, "--out", fitted["run"], "--resume", "--frames", "0:9")
     assert code == 2

@@ -40,7 +40,8 @@ def fit_run(
 ) -> Run:
     """Run the stages that a run has not had yet; the folder is written after each of them.
 
-    optimiser: gauss-newton, adam or lbfgs; warm: the run's belief is near its minimum already; progress: told the share of the work done, and a line.
+    optimiser: gauss-newton, adam or lbfgs; warm: the run's belief is near its minimum already; progress: told
+    the share of the work done, and a line.
     Raises SimulationError where the fit cannot start.
     """
     if run.complete:
