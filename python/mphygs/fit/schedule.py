@@ -80,7 +80,8 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
     for scale in sorted(SCALES, reverse=True):
         trial = belief
         for key in keys:
-            trial = trial.with_parameter(key, value=belief[key].value * scale)
+            p = belief[key]
+            trial = trial.with_parameter(key, value=min(max(p.value * scale, p.lower), p.upper))
         try:
             cost = problem.evaluate(trial, jacobian=False).cost
         except SimulationError:
