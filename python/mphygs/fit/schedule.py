@@ -21,6 +21,8 @@ COARSE_FACTOR = 1.5
 # Of the default spacing: thin parts are lost on grids coarser than this.
 COARSEST = 2.0
 SCREENING_FACTOR = 1.7
+# A model this far from the data [sigma] is fitted no further than a few iterations.
+HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 # How far any part's stiffness may be from the common scale that was found: without a bound a model that
 # lacks an effect makes a part of jelly that its own weight crushes.
 CONTRAST = 40.0
@@ -118,20 +120,10 @@ def simulable(problem: Problem, belief: Belief) -> Belief:
     raise failure
 
 
-def _better_start(problem: Problem, belief: Belief, earlier: tuple[Belief, ...]) -> Belief:
-    """The belief, or one of the stages before it where this grid likes that better.
-
-    A model that cannot follow the whole motion ends in a corner that another grid puts elsewhere.
-    """
-    best, cost = simulable(problem, belief), np.inf
-    for candidate in (best, *earlier[:-1]):
-        try:
-            value = problem.evaluate(candidate, jacobian=False).cost
-        except SimulationError:
-            continue
-        if value < cost:
-            best, cost = candidate, value
-    return best
+def _hopeless(solution: Solution) -> bool:
+    """Whether a model is so far from the data that its numbers mean nothing."""
+    evaluation = solution.evaluation
+    return evaluation.chi_square > HOPELESS**2 * max(evaluation.data_rows, 1)
 
 
 def fit_belief(
@@ -173,9 +165,13 @@ def fit_belief(
                 rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
                 report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
 
-        belief = _better_start(problem, belief, earlier)
+        iterations = stage.iterations
+        if solution is not None and len(earlier) > 1 and _hopeless(solution):
+            # What it became is of no use on another grid; the model before it is, and will be as wrong.
+            belief, iterations = earlier[0], HOPELESS_ITERATIONS
+        belief = simulable(problem, belief)
         solution = minimise(
-            problem, belief, iterations=stage.iterations, report=tell, relative_tolerance=stage.accuracy
+            problem, belief, iterations=iterations, report=tell, relative_tolerance=stage.accuracy
         )
         belief = solution.belief
         earlier = (earlier + (belief,))[-2:]

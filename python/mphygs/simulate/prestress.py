@@ -14,7 +14,7 @@ from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, direction, places, primal
 
 # Shares of the load on the way to it, where Newton's method does not get there at once.
-LOAD_STAGES = (0.2, 0.4, 0.6, 0.8, 1.0)
+LOAD_STAGES = (0.35, 0.7, 1.0)
 
 
 class RestShape:
