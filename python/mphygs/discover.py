@@ -110,6 +110,9 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         report=console.say,
         on_step=on_step,
     )
+    if len(documents) > 1:  # the last step may have been refitted on the default grid since it was told
+        documents[-1] = step_document(found.steps[-1], experiment, documents[-2]["effects"])
+        beliefs[-1] = document_of_belief(found.steps[-1].belief)
     answer = _conclude(out, options, state, experiment, found, documents)
     _keep(out, documents, beliefs, experiment, answer)
     return Answer(answer, _text(answer))

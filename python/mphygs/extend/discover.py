@@ -14,9 +14,10 @@ from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.schedule import find_scale, fit_belief
+from mphygs.fit.schedule import default_spacing, find_scale, fit_belief
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
+from mphygs.simulate.errors import SimulationError
 
 # The error counts as explained below this many sigma on every range ...
 EXPLAINED = 1.15
@@ -30,6 +31,8 @@ BEGUN, FINISHED = 9, 3
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
+# Share of the first model's excess that may be left for the default grid to be asked.
+WORTH_CONFIRMING = 0.2
 # Diagnosis looks at the first frames over which the misfit is between these [sigma].
 VISIBLE, TRACTABLE = 1.25, 4.0
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
@@ -315,7 +318,33 @@ def discover(
         )
         if on_step:
             on_step(steps[-1])
+    steps[-1] = _confirmed(experiment, steps, spacing, say)
     return _conclude(steps, faults, rankings, warnings)
+
+
+def _confirmed(experiment: Experiment, steps: list[Step], spacing: float, say: Callable[[str], None]) -> Step:
+    """The last step, refitted on the default grid where the screening grid left it short of the floor.
+
+    Many models are tried on a coarse grid; what it leaves may be the grid's own error.
+    """
+    last = steps[-1]
+    fine = default_spacing(experiment.capture)
+    if not last.added or fine >= 0.9 * spacing or explained(steps[0].assessment, last.assessment):
+        return last
+    if excess(last.assessment) > WORTH_CONFIRMING * excess(steps[0].assessment):
+        return last
+    say(f"refitting on the default grid, {1e3 * fine:.3g} mm")
+    try:
+        solution = minimise(experiment.problem(fine), last.belief, iterations=8, relative_tolerance=3e-4)
+        compared = experiment.compare(solution.belief, fine)
+    except SimulationError as error:
+        say(f"the default grid: {error}")
+        return last
+    assessment = experiment.assess(compared)
+    say(f"{last.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    if assessment.worst >= last.assessment.worst:
+        return last
+    return replace(last, belief=solution.belief, solution=solution, compared=compared, assessment=assessment)
 
 
 def _conclude(
