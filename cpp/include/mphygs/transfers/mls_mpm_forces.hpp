@@ -84,9 +84,18 @@ class MlsForces {
     bool plain_tile(const MlsOrder<T>& order, std::size_t first) const {
         bool good = true;
         for (std::size_t b = first / lane_count; b < (first + tile_size) / lane_count; ++b) {
-            good &= !order.held[b] && !(model_.sites_.point && order.placed[b]);
+            good &= !(model_.sites_.point && order.placed[b]);
         }
         return good;
+    }
+    /// f(particle, hold, id) for the held particles of a tile.
+    template <class F>
+    void each_held_of_tile(const MlsOrder<T>& order, std::size_t first, F&& f) const {
+        for (std::size_t b = first; b < first + tile_size; b += lane_count) {
+            if (order.held[b / lane_count]) {
+                each_held(order, b, [&](int lane, std::size_t hold, std::size_t id) { f(b + static_cast<std::size_t>(lane), hold, id); });
+            }
+        }
     }
     T gravity(int c) const { return lane_of(gravity_[c], 0)[0]; }
 
@@ -163,6 +172,49 @@ class MlsForces {
     /// First of the twelve numbers of a hold's pose before substep `step`.
     std::size_t pose_index(std::size_t hold, int step) const {
         return (hold * static_cast<std::size_t>(table_.count() + 1) + static_cast<std::size_t>(step)) * 12;
+    }
+
+    /// f(lane, hold, particle) for the held ones of eight particles.
+    template <class F>
+    void each_held(const MlsOrder<T>& order, std::size_t first, F&& f) const {
+        for (std::size_t q = 0; q < lane_count; ++q) {
+            if (order.hold[first + q] >= 0) {
+                f(static_cast<int>(q), static_cast<std::size_t>(order.hold[first + q]), static_cast<std::size_t>(order.id[first + q]));
+            }
+        }
+    }
+    T relaxation() const { return static_cast<T>(1.0 / model_.settings_.hold_relaxation) / dt_; }
+
+    /// What the velocity of a hold's particles is made of at this substep: the rows of the motion
+    /// until the next one, and of the place now, counted from the anchor.
+    struct HoldMotion {
+        U moved[3][4], place[3][4];
+    };
+    HoldMotion hold_motion(std::size_t hold) const {
+        HoldMotion m;
+        const std::size_t now = pose_index(hold, n_), next = pose_index(hold, n_ + 1);
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < 4; ++k) {
+                const std::size_t at = k < 3 ? 3 * c + k : 9 + c;
+                m.place[c][k] = inputs_.plain(&Fields<T>::pose, now + at);
+                m.moved[c][k] = (inputs_.plain(&Fields<T>::pose, next + at) - m.place[c][k]) / dt_;
+            }
+            m.place[c][3] = m.place[c][3] - static_cast<T>(model_.anchor_[c]);
+        }
+        return m;
+    }
+
+    /// v = (x_n+1 - x_n)/dt + (x_n - x)/(kappa dt), x_n the particle's place under the hold's motion.
+    U held_velocity(std::size_t hold, std::size_t id, int c, const U& x) const {
+        const double* rest = &model_.geometry_.points[3 * id];
+        const U* moved = holds_[hold].moved[c];
+        const U* place = holds_[hold].place[c];
+        U now = place[3] - x, velocity = moved[3];
+        for (int k = 0; k < 3; ++k) {
+            now += place[k] * static_cast<T>(rest[k]);
+            velocity += moved[k] * static_cast<T>(rest[k]);
+        }
+        return velocity + now * relaxation();
     }
 
   private:
@@ -255,49 +307,6 @@ class MlsForces {
         }
         m.time = time_;
         return m;
-    }
-
-    /// f(lane, hold, particle) for the held ones of eight particles.
-    template <class F>
-    void each_held(const MlsOrder<T>& order, std::size_t first, F&& f) const {
-        for (std::size_t q = 0; q < lane_count; ++q) {
-            if (order.hold[first + q] >= 0) {
-                f(static_cast<int>(q), static_cast<std::size_t>(order.hold[first + q]), static_cast<std::size_t>(order.id[first + q]));
-            }
-        }
-    }
-    T relaxation() const { return static_cast<T>(1.0 / model_.settings_.hold_relaxation) / dt_; }
-
-    /// What the velocity of a hold's particles is made of at this substep: the rows of the motion
-    /// until the next one, and of the place now, counted from the anchor.
-    struct HoldMotion {
-        U moved[3][4], place[3][4];
-    };
-    HoldMotion hold_motion(std::size_t hold) const {
-        HoldMotion m;
-        const std::size_t now = pose_index(hold, n_), next = pose_index(hold, n_ + 1);
-        for (std::size_t c = 0; c < 3; ++c) {
-            for (std::size_t k = 0; k < 4; ++k) {
-                const std::size_t at = k < 3 ? 3 * c + k : 9 + c;
-                m.place[c][k] = inputs_.plain(&Fields<T>::pose, now + at);
-                m.moved[c][k] = (inputs_.plain(&Fields<T>::pose, next + at) - m.place[c][k]) / dt_;
-            }
-            m.place[c][3] = m.place[c][3] - static_cast<T>(model_.anchor_[c]);
-        }
-        return m;
-    }
-
-    /// v = (x_n+1 - x_n)/dt + (x_n - x)/(kappa dt), x_n the particle's place under the hold's motion.
-    U held_velocity(std::size_t hold, std::size_t id, int c, const U& x) const {
-        const double* rest = &model_.geometry_.points[3 * id];
-        const U* moved = holds_[hold].moved[c];
-        const U* place = holds_[hold].place[c];
-        U now = place[3] - x, velocity = moved[3];
-        for (int k = 0; k < 3; ++k) {
-            now += place[k] * static_cast<T>(rest[k]);
-            velocity += moved[k] * static_cast<T>(rest[k]);
-        }
-        return velocity + now * relaxation();
     }
 
     const MlsMpm<T>& model_;

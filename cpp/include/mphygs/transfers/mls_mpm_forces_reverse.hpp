@@ -84,6 +84,20 @@ class MlsForcesReverse {
         reverse_volume(order, first, point, history, given, force_bar, history_bar, bar, particles, sums);
     }
 
+    /// From the bar of a held velocity to those of the poses.
+    void reverse_held(std::size_t hold, std::size_t id, int c, T bar, MlsChunkSums& sums) const {
+        const double* rest = &forces_.model_.geometry_.points[3 * id];
+        const double next = static_cast<double>(bar) / static_cast<double>(forces_.dt_);
+        const double now = static_cast<double>(bar) * static_cast<double>(forces_.relaxation()) - next;
+        double* pose = &sums.pose[hold * 24];
+        pose[9 + c] += now;
+        pose[21 + c] += next;
+        for (int k = 0; k < 3; ++k) {
+            pose[3 * c + k] += now * rest[k];
+            pose[12 + 3 * c + k] += next * rest[k];
+        }
+    }
+
     /// Chain of the once-per-substep functions, parameters -> uniforms.
     void reverse_uniforms(const std::vector<double>& uniform_bar, std::vector<double>& parameter_bar) const {
         Registry::each([&](auto tag, int i) {
@@ -169,19 +183,6 @@ class MlsForcesReverse {
             for (std::size_t c = 0; i < count && c < 3; ++c) {
                 node_force_bar[(forces_.frame_ * count + i) * 3 + c] += force_bar[static_cast<int>(c)][q];
             }
-        }
-    }
-
-    void reverse_held(std::size_t hold, std::size_t id, int c, T bar, MlsChunkSums& sums) const {
-        const double* rest = &forces_.model_.geometry_.points[3 * id];
-        const double next = static_cast<double>(bar) / static_cast<double>(forces_.dt_);
-        const double now = static_cast<double>(bar) * static_cast<double>(forces_.relaxation()) - next;
-        double* pose = &sums.pose[hold * 24];
-        pose[9 + c] += now;
-        pose[21 + c] += next;
-        for (int k = 0; k < 3; ++k) {
-            pose[3 * c + k] += now * rest[k];
-            pose[12 + 3 * c + k] += next * rest[k];
         }
     }
 

@@ -287,9 +287,28 @@ class MlsMpmReverse {
                 run_.stand_tile(plain.took, record.moving, record.box, t, limits);
                 gather_rows<T>(plain.took, record.grid.data(), model_.axis_, record.box);
                 plain_given<T>(plain, record.moving.data(), t, pass, *record.order, model_.axis_, bar_box_, inside(bar_box_, bar_ranges_[c]));
+                const auto moved = [&](std::size_t p, std::size_t a) {
+                    return record.moving[slot_of(a, moving_numbers, p)] + h * plain.velocity[a][p - t];
+                };
+                run_.forces_.each_held_of_tile(*record.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
+                    for (std::size_t a = 0; a < 3; ++a) {
+                        run_.give_held(plain.given, p - t, hold, id, a, moved(p, a));
+                    }
+                });
                 reverse_scatter_rows<T>(plain.given, bar_grid_.data(), model_.axis_, bar_box_, plain.bars, plain.slope);
                 plain_bars<T>(plain, record.moving.data(), bars_.data(), particles_.fixed.data(), t, pass, *record.order, model_.axis_,
                               gravity_bar);
+                run_.forces_.each_held_of_tile(*record.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
+                    for (std::size_t a = 0; a < 3; ++a) {  // the hold's velocity stood in place of the particle's
+                        const T bar = plain.bars.q[0][a][p - t], velocity_bar = plain.given.mass[0][p - t] * bar;
+                        const T held = run_.forces_.held_velocity(hold, id, static_cast<int>(a), moved(p, a));
+                        *particles_.at(fixed_mass, p) += bar * (held - plain.velocity[a][p - t]);
+                        forces_.reverse_held(hold, id, static_cast<int>(a), velocity_bar, sums_[c]);
+                        const T x_bar = -run_.forces_.relaxation() * velocity_bar;
+                        bars_[slot_of(a, moving_numbers, p)] += x_bar;
+                        plain.took.q[0][a][p - t] += h * x_bar - velocity_bar;
+                    }
+                });
                 reverse_gather_rows<T>(plain.took, plain.velocity, record.grid.data(), grids_.private_grid(c), model_.axis_, record.box,
                                        plain.slope);
                 plain_slope<T>(plain.slope, bars_.data(), t, run_.inverse_spacing_, model_.axis_);

@@ -430,6 +430,11 @@ class MlsMpmRun {
         tile.set_n(pack, (static_cast<T>(model_.geometry_.spacing) * mass) * point.c);
     }
 
+    /// Overwrites the momentum of a held particle of a hot tile.
+    void give_held(MlsTile<T, 0>& tile, std::size_t at, std::size_t hold, std::size_t id, std::size_t c, T x) const {
+        const int k = static_cast<int>(c);
+        tile.q[0][c][at] = tile.mass[0][at] * (forces_.held_velocity(hold, id, k, x) + forces_.dt() * forces_.gravity(k));
+    }
     PlainPass<T> plain_pass(T h, bool forces) const {
         return {size(), inverse_spacing_, h, forces, forces_.dt(),
                 {forces_.gravity(0), forces_.gravity(1), forces_.gravity(2)}};
@@ -466,6 +471,12 @@ class MlsMpmRun {
                                                                 *state_.order, model_.axis_, next, then, seen_wide);
                     failed_[c] = failed_[c] < 0 ? failed : failed_[c];
                     if (forces) {
+                        forces_.each_held_of_tile(*state_.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
+                            for (std::size_t a = 0; a < 3; ++a) {
+                                const T x = state_.moving[slot_of(a, moving_numbers, p)];
+                                give_held(tile, p - t, hold, id, a, x);
+                            }
+                        });
                         scatter_rows<T>(tile, out, model_.axis_, next);
                     }
                     continue;
