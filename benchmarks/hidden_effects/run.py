@@ -28,7 +28,6 @@ from mphygs.extend.discover import discover
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.schedule import default_spacing
 from mphygs.fit.start import starting_belief
-from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
 from mphygs.synth.make import make_capture
 
@@ -73,8 +72,9 @@ def run_case(case: Case, seed: int, options: Options, say: object) -> dict:
         began = time.perf_counter()
         found = discover(experiment, starting_belief(capture), spacing, seed=seed, report=say)
         entry = record(case, answer, found, time.perf_counter() - began)
-    except (SimulationError, ValueError, ArithmeticError) as error:
-        # One case that cannot be run is a result too; the others go on.
+    except (
+        Exception
+    ) as error:  # whatever one case trips over, the others go on, and it is run again next time
         entry = {"case": case.name, "group": case.group, "error": f"{type(error).__name__}: {error}"}
     return plain(entry | {"seed": seed, "spec": asdict(case)})
 
@@ -97,7 +97,7 @@ def main() -> int:
         path = results / f"{case.name}-{seed}.json"
         if path.is_file() and not options.again:
             entry = json.loads(path.read_text())
-            if entry["spec"] == plain(asdict(case)):
+            if entry["spec"] == plain(asdict(case)) and "error" not in entry:
                 records.append(entry)
                 continue
         print(f"[{number + 1}/{len(jobs)}] {case.name}, seed {seed}", file=sys.stderr, flush=True)
