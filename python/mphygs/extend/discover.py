@@ -31,6 +31,8 @@ BEGUN, FINISHED = 9, 3
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
+# Refits over a window within this factor of the best chi^2 are continued on all frames.
+ALIKE = 1.35
 # Share of the first model's excess that may be left for the default grid to be asked.
 WORTH_CONFIRMING = 0.2
 # Diagnosis looks at the first frames over which the misfit is between these [sigma].
@@ -194,6 +196,19 @@ def refits_of(
         if solution is not None:
             begun.append((solution.evaluation.chi_square, entry, solution))
     begun.sort(key=lambda item: item[0])
+    if window[0] < 1.0:
+        # Over a short window many effects do alike: a few iterations on all frames tell them apart.
+        alike = [item for item in begun if item[0] < ALIKE * begun[0][0]]
+        begun = []
+        for _, entry, solution in alike:
+            try:
+                solution = minimise(
+                    experiment.problem(spacing), solution.belief, iterations=3, relative_tolerance=1e-3
+                )
+            except SimulationError:
+                continue
+            begun.append((solution.evaluation.chi_square, entry, solution))
+        begun.sort(key=lambda item: item[0])
     finished = []
     for number, (chi_square, entry, solution) in enumerate(begun[: FINISHED + 1]):
         if number and chi_square > 3.0 * begun[0][0] or number == FINISHED and chi_square > 1.1 * begun[0][0]:
