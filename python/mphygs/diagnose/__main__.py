@@ -15,7 +15,8 @@ import tyro
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
 from mphygs.diagnose.document import advice, diagnosis_text, ranking_document
 from mphygs.diagnose.rank import Ranking, allowance_of, rank
-from mphygs.extend.discover import Discovery, Step, discover
+from mphygs.extend.discover import Discovery, discover
+from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
