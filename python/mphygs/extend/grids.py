@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.compare.assess import PRACTICAL_FLOOR
+from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -15,10 +15,6 @@ from mphygs.simulate.errors import SimulationError
 # On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
 # first model, may be the grid's own: the default grid is asked.
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
-# On the default grid a misfit below this many sigma is asked of a grid finer by this factor.
-SMALL, FINER = 1.6, 1.5
-# The error of a displacement falls with the square of the spacing, its mean square with the fourth power.
-ORDER = 4
 ITERATIONS = 8
 
 
@@ -26,12 +22,10 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     """Spacing [m] on which the last step should be asked again, None where its grid will do."""
     first, last = steps[0], steps[-1]
     default = default_spacing(experiment.capture)
-    if last.spacing > 1.1 * default:
-        small = excess(last.assessment) < EXPLAINED_ON_COARSE * excess(first.assessment)
-        return default if last.assessment.worst < GROSS or last.added and small else None
-    if last.spacing > default / FINER * 1.1 and last.assessment.worst < SMALL:
-        return default / FINER
-    return None
+    if last.spacing < 1.1 * default:
+        return None
+    small = last.added and excess(last.assessment) < EXPLAINED_ON_COARSE * excess(first.assessment)
+    return default if small or last.assessment.worst < GROSS else None
 
 
 def on_grid(
@@ -65,38 +59,28 @@ def on_grid(
     )
 
 
-def extrapolated(coarse: Step, fine: Step) -> float:
-    """Root mean square over sigma [1] of the worst range on a grid of spacing zero (Richardson, 1911)."""
-    gain = (coarse.spacing / fine.spacing) ** ORDER
-    worst = 1.0
-    for name, ranges in fine.assessment.ratio.items():
-        for label, ratio in ranges.items():
-            before = coarse.assessment.ratio[name][label]
-            worst = max(worst, ratio**2 - max(before**2 - ratio**2, 0.0) / (gain - 1.0))
-    return float(worst**0.5)
+def with_budget(
+    experiment: Experiment, step: Step, report: Callable[[str], None] | None = None
+) -> Step:
+    """The step with the discretisation's share of its misfit known, from one refinement."""
+    try:
+        compared = experiment.compare(step.belief, step.spacing, refine=True)
+    except SimulationError:
+        return step
+    assessment = experiment.assess(compared)
+    if report:
+        shares = ", ".join(f"{name} {1e3 * share:.3f}" for name, share in assessment.budget.items())
+        report(f"shares of the misfit [mm]: {shares}")
+    return replace(step, compared=compared, assessment=assessment)
 
 
 def refined(experiment: Experiment, steps: Sequence[Step], report: Callable[[str], None] | None) -> Step:
-    """The last step on the grid that its misfit asks for.
-
-    On a grid finer than the default only the floor is asked for: reached there, or by what the two grids say
-    of a third without error. What is left otherwise is looked for on the default grid, at a fraction of the
-    work.
-    """
-    say = report or (lambda _text: None)
+    """The last step on the grid that its misfit asks for, with its error budget where that decides."""
     current = steps[-1]
-    while not current.explained:
-        spacing = next_spacing(experiment, [*steps[:-1], current])
-        if spacing is None:
-            break
-        finer = on_grid(experiment, current, spacing, report)
-        if finer is None:
-            break
-        if spacing < 0.9 * default_spacing(experiment.capture) and not finer.explained:
-            limit = extrapolated(current, finer)
-            say(f"without the grids' error: {limit:.3f} sigma")
-            if limit > PRACTICAL_FLOOR:
-                break
-            finer = replace(finer, assessment=replace(finer.assessment, adequate=True))
-        current = finer
+    spacing = None if current.explained else next_spacing(experiment, steps)
+    if spacing is not None:
+        current = on_grid(experiment, current, spacing, report) or current
+    fine = current.spacing < 1.1 * default_spacing(experiment.capture)
+    if fine and not current.explained and current.assessment.worst < LARGEST_GRID_ERROR:
+        current = with_budget(experiment, current, report)
     return current
