@@ -1,4 +1,5 @@
 #include "mphygs/splatting.hpp"
+#include "mphygs/splatting_similarity.hpp"
 
 #include <limits>
 #include <memory>
@@ -83,6 +84,20 @@ py::tuple backward(const Picture& p, const Floats& image_bar, const Floats& tran
                           to_array(std::move(g.screen_offsets), {n, 2}));
 }
 
+py::tuple similarity(const Floats& first, const Floats& second, int threads) {
+    if (first.ndim() != 3 || first.size() == 0) {
+        throw std::invalid_argument("first: expected (channel, row, column)");
+    }
+    check(second, "second", {first.shape(0), first.shape(1), first.shape(2)});
+    const int channels = static_cast<int>(first.shape(0)), height = static_cast<int>(first.shape(1)), width = static_cast<int>(first.shape(2));
+    Similarity s;
+    {
+        py::gil_scoped_release release;
+        s = structural_similarity(first.data(), second.data(), channels, height, width, threads);
+    }
+    return py::make_tuple(s.value, to_array(std::move(s.first_bar), {channels, height, width}));
+}
+
 }  // namespace
 
 void bind_splatting(py::module_& m) {
@@ -124,6 +139,7 @@ void bind_splatting(py::module_& m) {
                                    return py::array_t<std::int32_t>(static_cast<py::ssize_t>(order.size()), order.data());
                                })
         .def("backward", &backward, py::arg("image_bar"), py::arg("transmittance_bar"), py::arg("threads"));
+    m.def("structural_similarity", &similarity, py::arg("first"), py::arg("second"), py::arg("threads"));
 }
 
 }  // namespace mphygs_python
