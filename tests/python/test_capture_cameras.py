@@ -125,3 +125,9 @@ def test_distortion_is_undone_in_pictures() -> None:
     plain = undistorted(camera)
     assert not plain.distortion.any() and undistort_image(plain, image) is image
     assert dataclasses.replace(plain, distortion=DISTORTION).distortion.any()
+
+
+def test_a_lens_that_cannot_be_undone() -> None:
+    camera = eye(distortion=np.array([-20.0, 0, 0, 0, 0, 0, 0, 0]))
+    with pytest.raises(ValueError, match='camera "a": its lens distortion cannot be undone'):
+        undistort_pixels(camera, np.array([[63.0, 47.0]]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from mesh_picture import cameras_around, draw_mesh, dumbbell, write_rest_views
 from mphygs.capture.cameras import Camera
 from mphygs.capture.errors import CaptureError
+from mphygs.capture.format import load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.transforms import write_transforms
 from mphygs.capture.views import (
@@ -20,6 +22,8 @@ from mphygs.capture.views import (
     SequenceViews,
     load_rest_views,
     load_sequence_views,
+    rest_views_of,
+    sequence_views_of,
 )
 
 FRAMES = 3
@@ -211,3 +215,32 @@ def test_annotations(film: Path, tmp_path_factory: pytest.TempPathFactory, camer
     assert 'camera "view01" has no frame "3"' in spoilt("contact.json", {"view01": {"3": [1, 1]}})
     assert 'there is no camera "left"' in spoilt("contact.json", {"left": {"0": [1, 1]}})
     assert "expected a pixel within 32 x 32" in spoilt("contact.json", {"view01": {"0": [40, 1]}})
+
+
+def test_views_of_a_capture(
+    film: Path, tmp_path_factory: pytest.TempPathFactory, cameras: list[Camera]
+) -> None:
+    folder = tmp_path_factory.mktemp("capture")
+    write_rest_views(folder / "rest", cameras)
+    film.rename(folder / "film")
+    document = {
+        "format": "mphygs-capture/1",
+        "name": "square",
+        "gravity": [0, 0, -9.81],
+        "object": {"views": "rest", "rest": "equilibrium"},
+        "sequences": [
+            {"name": "a", "fps": 30, "frames": FRAMES, "fit": [0, 2], "views": "film"},
+            {"name": "b", "fps": 30, "frames": FRAMES + 1, "fit": [0, 2], "views": "film"},
+            {"name": "c", "fps": 30, "frames": 3},
+        ],
+    }
+    (folder / "capture.json").write_text(json.dumps(document))
+    capture = load_capture(folder)
+    rest = rest_views_of(capture)
+    assert len(rest.views) == 3 and sequence_views_of(capture.sequence("a"), rest).frames == FRAMES
+    with pytest.raises(CaptureError, match='camera "view00" has no frame 3'):
+        sequence_views_of(capture.sequence("b"), rest)
+    with pytest.raises(CaptureError, match='sequence "c": has no views'):
+        sequence_views_of(capture.sequence("c"), rest)
+    with pytest.raises(CaptureError, match="has no dense rest views; expected object.views"):
+        rest_views_of(dataclasses.replace(capture, views=None))

@@ -74,4 +74,7 @@ def _pixel(entry: Entry, camera: Camera) -> np.ndarray:
     pixel = entry.array((2,))
     if not ((pixel >= 0) & (pixel <= [camera.width, camera.height])).all():
         raise entry.fault(f"is {pixel.tolist()}", f"a pixel within {camera.width} x {camera.height}")
-    return undistort_pixels(camera, pixel[None])[0]
+    try:
+        return undistort_pixels(camera, pixel[None])[0]
+    except ValueError as error:
+        raise entry.fault(str(error), "a pixel that the lens shows, or another lens distortion") from error

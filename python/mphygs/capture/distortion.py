@@ -10,6 +10,7 @@ import numpy as np
 from mphygs.capture.cameras import Camera
 
 _ROUNDS = 50  # of a fixed point, far more than a usual lens needs
+_CLOSE = 1e-3  # [px]
 
 
 def undistorted(camera: Camera) -> Camera:
@@ -31,13 +32,18 @@ def undistort_image(camera: Camera, image: np.ndarray) -> np.ndarray:
 
 
 def undistort_pixels(camera: Camera, pixels: np.ndarray) -> np.ndarray:
-    """Where points at `pixels` (N, 2) [px] of the picture as taken lie in the undistorted one, (N, 2)."""
+    """Where points at `pixels` (N, 2) [px] of the picture as taken lie in the undistorted one, (N, 2).
+
+    Raises ValueError where the lens bends too strongly there to be undone.
+    """
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     if not camera.distortion.any() or len(pixels) == 0:
         return pixels
     straight = pixels
     for _ in range(_ROUNDS):
         straight = straight + pixels - distort_pixels(camera, straight)
+    if not np.abs(pixels - distort_pixels(camera, straight)).max() < _CLOSE:
+        raise ValueError(f'camera "{camera.name}": its lens distortion cannot be undone at the given pixels')
     return straight
 
 

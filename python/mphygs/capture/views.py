@@ -16,6 +16,7 @@ from mphygs.capture.distortion import undistort_image, undistorted
 from mphygs.capture.errors import fault
 from mphygs.capture.images import VIDEO_SUFFIXES, ImageFile, Source, Video, VideoFrame
 from mphygs.capture.masks import checked_mask, mask_of_picture, mask_of_plate
+from mphygs.capture.record import Capture, Sequence
 from mphygs.capture.shots import Shot
 from mphygs.capture.transforms import read_transforms
 
@@ -193,6 +194,20 @@ def load_sequence_views(folder: Path, *, frames: int, rest: RestViews | None = N
         if correspondences.is_file()
         else (),
     )
+
+
+def rest_views_of(capture: Capture) -> RestViews:
+    """The dense rest views of a capture. Raises CaptureError where it has none or they cannot be used."""
+    if capture.views is None:
+        raise fault(str(capture.folder / "capture.json"), "has no dense rest views", "object.views")
+    return load_rest_views(capture.views)
+
+
+def sequence_views_of(sequence: Sequence, rest: RestViews | None = None) -> SequenceViews:
+    """The videos of a capture's sequence. Raises CaptureError where it has none or they cannot be used."""
+    if sequence.views is None:
+        raise fault(f'sequence "{sequence.name}"', "has no views", "measured video")
+    return load_sequence_views(sequence.views, frames=sequence.frames, rest=rest)
 
 
 def _read_shots(folder: Path) -> list[Shot]:
