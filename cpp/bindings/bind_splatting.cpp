@@ -89,7 +89,8 @@ py::tuple similarity(const Floats& first, const Floats& second, int threads) {
         throw std::invalid_argument("first: expected (channel, row, column)");
     }
     check(second, "second", {first.shape(0), first.shape(1), first.shape(2)});
-    const int channels = static_cast<int>(first.shape(0)), height = static_cast<int>(first.shape(1)), width = static_cast<int>(first.shape(2));
+    const int channels = static_cast<int>(first.shape(0));
+    const int height = static_cast<int>(first.shape(1)), width = static_cast<int>(first.shape(2));
     Similarity s;
     {
         py::gil_scoped_release release;
