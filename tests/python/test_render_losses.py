@@ -14,9 +14,11 @@ from mphygs.capture.views import Photograph
 from mphygs.render.distance_maps import distance_loss, distance_map, sampled_map
 from mphygs.render.image_losses import feature_loss, image_loss, similarity_by_torch, structural_similarity
 from mphygs.render.image_metrics import (
+    ImageMetrics,
     chamfer_distance,
     image_metrics,
     intersection_over_union,
+    mean_metrics,
     peak_signal_to_noise,
 )
 from mphygs.render.picture import Picture
@@ -147,5 +149,8 @@ def test_metrics_of_a_picture() -> None:
         0.6 * seen[..., None].repeat(1, 1, 3), seen, seen, seen[..., None][..., :0], torch.arange(0)
     )
     metrics = image_metrics(picture, photograph)
+    assert mean_metrics([metrics, ImageMetrics(0.0, 0.5, 3.0)]).chamfer_px == 1.5
+    with pytest.raises(ValueError, match="metrics: are none"):
+        mean_metrics([])
     assert (metrics.iou, metrics.chamfer_px) == (1, 0)
     assert metrics.psnr == pytest.approx(-10 * math.log10(0.01 * 100 / 600), abs=1e-3)

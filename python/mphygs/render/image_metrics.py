@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass
 
 import cv2
 import numpy as np
@@ -59,6 +60,14 @@ def _silhouettes(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.
 def _mean_distance(source: np.ndarray, target: np.ndarray) -> float:
     away = cv2.distanceTransform((~target).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return float(away[source].mean())
+
+
+def mean_metrics(metrics: Iterable[ImageMetrics]) -> ImageMetrics:
+    """The mean of each metric over frames and views. Raises ValueError where there are none."""
+    rows = [astuple(each) for each in metrics]
+    if not rows:
+        raise ValueError("metrics: are none; expected at least one picture")
+    return ImageMetrics(*(float(value) for value in np.mean(rows, axis=0)))
 
 
 def image_metrics(picture: Picture, photograph: Photograph) -> ImageMetrics:
