@@ -28,6 +28,7 @@ def test_polar_rotation() -> None:
     assert torch.det(polar_rotation(inverted)).item() == pytest.approx(1.0)
 
 
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
 def test_polar_rotation_can_be_differentiated() -> None:
     rest = torch.eye(3, dtype=torch.float64).repeat(2, 1, 1)
     rest[1] = turns(1)[0] @ torch.tensor(
