@@ -223,15 +223,21 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
     if (matrix) {
         // Rows of two held faces that meet can depend on each other: a hold a billion times stiffer
         // than the object shares the force between them. The residual below keeps the hold exact.
-        const Eigen::VectorXd diagonal = matrix_.diagonal();
-        const double give = 1e-9 / diagonal.head(static_cast<Eigen::Index>(3 * model_->node_count())).cwiseAbs().maxCoeff();
+        const double largest = matrix_.diagonal().head(static_cast<Eigen::Index>(3 * model_->node_count())).cwiseAbs().maxCoeff();
+        const double give = 1e-9 / largest;
+        // Nodes that touch next to no material would move by any distance: springs a billion times
+        // softer than the object keep them.
+        node_spring_ = 1e-9 * largest;
+        for (Eigen::Index i = 0; i < static_cast<Eigen::Index>(3 * model_->node_count()); ++i) {
+            matrix_.coeffRef(i, i) += node_spring_;
+        }
         for (Eigen::Index i = static_cast<Eigen::Index>(3 * model_->node_count()); i < matrix_.rows(); ++i) {
             matrix_.coeffRef(i, i) = -give;
         }
     }
     const Eigen::Index first_row = static_cast<Eigen::Index>(3 * model_->node_count());
     for (Eigen::Index i = 0; i < first_row; ++i) {
-        residual[i] -= load_[static_cast<std::size_t>(i)];
+        residual[i] += node_spring_ * w[static_cast<std::size_t>(i)] - load_[static_cast<std::size_t>(i)];
     }
     for (std::size_t r = 0; r < g.row_count(); ++r) {
         for (int k = g.row_begin[r]; k < g.row_begin[r + 1]; ++k) {

@@ -54,6 +54,7 @@ class Equilibrium {
     Fields<double> fields_;
     std::vector<double> volume_, load_, w_;
     Eigen::VectorXd unknown_;
+    double node_spring_ = 0;  // [N/m]
     Eigen::SparseMatrix<double> matrix_;
     std::vector<std::int32_t> position_;  // of every block's 81 x 81 entries in the matrix's values
     BlockTridiagonal solver_;
