@@ -24,7 +24,7 @@ from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, parameters_of, parameters_text
 from mphygs.model.registry import effects
 from mphygs.model.user_effect import load_plugin
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.settings import Settings, check_effects
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
@@ -162,8 +162,7 @@ def _check(options: FitOptions) -> None:
         raise OptionError(
             "--schedule paper: its windows start from particles tracked in video; expected fast for markers"
         )
-    if options.transfer == "mls":
-        raise OptionError("--transfer mls: fitting with it is not built yet; expected total-lagrangian")
+    check_effects(options.transfer, names(options.effects))
 
 
 def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
@@ -182,7 +181,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         capture = load_capture(path)
         out = out or RUNS / capture.name
         _claim(out)
-    settings = Settings(spacing=options.spacing or default_spacing(capture))
+    settings = Settings(spacing=options.spacing or default_spacing(capture), transfer=options.transfer)
     wanted = names(options.sequences)
     belief = starting_belief(capture, prestress=options.prestress, law=options.law)
     frames = _frames(options.frames, capture, wanted)
@@ -203,7 +202,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         given["plugin"] = str(options.plugin.resolve())
     state = Run(
         folder=out, options=given, seed=options.seed, capture=path, digest=digest_of(capture),
-        settings=settings, transfer=options.transfer, ranges=dict(experiment.fitted),
+        settings=settings, ranges=dict(experiment.fitted),
         start=belief, belief=belief,
     )  # fmt: skip
     return state, capture

@@ -12,7 +12,6 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.run import Run, StageRecord
 from mphygs.fit.schedule import Stage, fit_belief, plan_of
-from mphygs.simulate.prestress import RestShape
 
 # How many iterations a stage takes, as far as progress is concerned.
 USUAL_ITERATIONS = 5
@@ -27,7 +26,7 @@ def _forget(experiment: Experiment) -> None:
     """Drop what rest shapes remember of their last solution: the next stage begins as after a resume."""
     for problem in experiment.problems.values():
         for predictor in problem.predictors.values():
-            predictor.rest_shape = RestShape(predictor.body)
+            predictor.transfer.forget()
 
 
 def fit_run(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.settings import Settings
 
 # Cells that an object of default spacing is worth: about 250 of its volume.
 DEFAULT_CELLS = 250
@@ -152,9 +152,7 @@ def fit_belief(
         if number < start_stage:
             continue
         if stage.spacing not in problems:
-            own = Settings(
-                stage.spacing, settings.safety, settings.workers, settings.dtype, settings.memory_budget
-            )
+            own = replace(settings, spacing=stage.spacing)
             problems[stage.spacing] = Problem(capture, own, ranges, observations)
         problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
         if number == 0 and not warm:
