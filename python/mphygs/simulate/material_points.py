@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -81,25 +82,31 @@ class MaterialPoints(Transfer):
         out[inside] = share
         return out
 
-    def _from_grid(self, solution: dict[str, np.ndarray], held: np.ndarray, ratio: float) -> dict:
-        """Deformation (N, 3, 3) and volume of the particles; what is held has no stress of its own."""
-        free = self.body.free_block_count
-        f = solution["deformation0"].reshape(free, 3, 3, LANES)
-        rest = len(self.body.quadrature.part) - free
-        deformation = np.moveaxis(f, -1, 1).reshape(-1, 3, 3)
-        deformation = np.concatenate([deformation, np.tile(held, (rest * LANES, 1, 1))])
-        ratios = solution["volume_ratio"].reshape(free, LANES)
-        ratios = np.concatenate([ratios, np.full((rest, LANES), ratio)])
-        return {"deformation0": deformation, "stress_volume": self.body.quadrature.volumes * ratios}
+    @cached_property
+    def _source(self) -> np.ndarray:
+        """(N,) free particle whose rest state each particle has.
+
+        Held ones take it from the nearest free one: the stress goes on behind the face of the clamp. Without
+        stress there the grid nodes that both share would be pushed out of balance.
+        """
+        points, free = self.body.geometry["points"], LANES * self.body.free_block_count
+        return np.concatenate([np.arange(free), self.body.nearest_free(points[free:])])
+
+    def _from_grid(self, solution: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Deformation (N, 3, 3) and volume (B, 8) [m^3] of the particles in a rest state of the grid."""
+        f = solution["deformation0"].reshape(-1, 3, 3, LANES)
+        deformation = np.moveaxis(f, -1, 1).reshape(-1, 3, 3)[self._source]
+        volumes = self.body.quadrature.volumes
+        ratio = solution["volume_ratio"].ravel()[self._source].reshape(volumes.shape)
+        return {"deformation0": deformation, "stress_volume": volumes * ratio}
 
     def prestressed(self, belief: Belief) -> dict[str, np.ndarray]:
-        return self._from_grid(self.rest_shape.solve(belief), np.eye(3), 1.0)
+        return self._from_grid(self.rest_shape.solve(belief))
 
     def prestress_slopes(
         self, owner: Belief, parameters: Sequence[Parameter]
     ) -> list[dict[str, np.ndarray]]:
-        slopes = self.rest_shape.tangent(owner, parameters)
-        return [self._from_grid(slope, np.zeros((3, 3)), 0.0) for slope in slopes]
+        return [self._from_grid(slope) for slope in self.rest_shape.tangent(owner, parameters)]
 
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         deformation = start.gradient + np.eye(3)
