@@ -1,19 +1,22 @@
-"""An object as particles for the MLS-MPM transfer: its free material, and what of the held one borders it."""
+"""An object as particles for the MLS-MPM transfer: its free material, and what clamps it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from mphygs.capture.format import Capture
-from mphygs.scene.particles import Quadrature, exposed_surface, fill
+from mphygs.scene.particles import HoldFace, Quadrature, exposed_surface, fill, hold_face, inside
 from mphygs.scene.slivers import merge_slivers
 from mphygs.simulate.body import LANES, SMALLEST_SHARE, Body, discretise
 
-# Cells between held and free material that share a node of the quadratic splines.
+# Cells behind the face of a clamp that share a node of the quadratic splines with the free material.
 REACH = 2
+# A full cell's points and those of its sides (Gauss), in cells about the middle.
+_GAUSS = 0.5 / np.sqrt(3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,7 @@ def discretise_particles(capture: Capture, boxes: np.ndarray, spacing: float) ->
     """
     grid = discretise(capture, boxes, spacing)
     free = grid.quadrature
-    layers = [_held_layer(capture, boxes[: h + 1], free) for h in range(len(boxes))]
+    layers = [_clamp(capture, boxes, h, grid) for h in range(len(boxes))]
     together = {
         name: np.concatenate([getattr(q, name) for q in (free, *layers)])
         for name in ("cell", "part", "points", "volumes")
@@ -75,26 +78,71 @@ def discretise_particles(capture: Capture, boxes: np.ndarray, spacing: float) ->
     return body
 
 
-def _held_layer(capture: Capture, boxes: np.ndarray, free: Quadrature) -> Quadrature:
-    """The material in the last of some hold boxes, and in none before it, as far as its cells share nodes
-    with free material."""
+def _clamp(capture: Capture, boxes: np.ndarray, number: int, grid: Body) -> Quadrature:
+    """Blocks that one hold carries: a rigid backing, REACH cells deep, behind the faces where it grips.
+
+    What a hold really encloses may be a thin slice, too light to lead the nodes that it shares with free
+    material. Where the backing would stand in free material (on a thin grip inside the object) the slice
+    itself has to do.
+    """
+    faces = hold_face(
+        capture.parts, boxes[number], spacing=float(grid.quadrature.spacing[0]),
+        other_boxes=np.delete(boxes, number, axis=0),
+    )  # fmt: skip
+    found = [_backing(face, boxes[number], grid) for face in faces]
+    points, volumes = (np.concatenate(x) for x in zip(*found, strict=True))
+    blocked = np.zeros(points.shape[:2], bool)
+    for part in capture.parts:
+        blocked |= inside(part, points.reshape(-1, 3)).reshape(blocked.shape)
+    for box in boxes:
+        blocked &= ~((points > box[0]) & (points < box[1])).all(2)
+    points, volumes = points[~blocked.any(1)], volumes[~blocked.any(1)]
+    if not len(points):
+        return _slice(capture, boxes, number, grid.quadrature)
+    free = grid.quadrature
+    nearest = cKDTree(free.points.reshape(-1, 3)).query(points.mean(1))[1]
+    cell = np.rint((points.mean(1) - free.origin) / free.spacing).astype(np.int32)
+    return replace(free, cell=cell, part=free.part[nearest // LANES], points=points, volumes=volumes)
+
+
+def _backing(face: HoldFace, box: np.ndarray, grid: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Points (B, 8, 3) [m] and volumes (B, 8) [m^3] behind one face, a block to a cell of it and a depth."""
+    origin, spacing = grid.quadrature.origin, grid.quadrature.spacing
+    across = [a for a in range(3) if a != face.axis]
+    depth = spacing[face.axis]
+    inward = depth if face.coordinate < box[:, face.axis].mean() else -depth
+    tile = np.rint((face.points[:, across] - origin[across]) / spacing[across]).astype(int)
+    _, block = np.unique(tile, axis=0, return_inverse=True)
+    block = block.ravel()
+    points, volumes = [], []
+    for b in range(block.max() + 1):
+        mine, area = face.points[block == b][:, across], face.area[block == b]
+        mean = np.average(mine, axis=0, weights=area)
+        spread = np.sqrt(np.average((mine - mean) ** 2, axis=0, weights=area) + area.mean() / 12.0)
+        for layer in range(REACH):
+            corner = np.empty((LANES, 3))
+            signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+            corner[:, across] = mean + signs[:, :2] * spread
+            corner[:, face.axis] = face.coordinate + inward * (layer + 0.5 + _GAUSS * signs[:, 2])
+            points.append(corner)
+            volumes.append(np.full(LANES, area.sum() * depth / LANES))
+    return np.array(points), np.array(volumes)
+
+
+def _slice(capture: Capture, boxes: np.ndarray, number: int, free: Quadrature) -> Quadrature:
+    """The material that a hold encloses, of that which no other one does first."""
     vertices = np.concatenate([part.vertices for part in capture.parts])
     low, high = vertices.min(0), vertices.max(0)
-    spacing = free.spacing
-    shift = np.round((free.origin + 0.5 * spacing - low) / spacing, 9) % 1.0
+    shift = np.round((free.origin + 0.5 * free.spacing - low) / free.spacing, 9) % 1.0
     held = fill(
         capture.parts,
-        spacing=float(spacing[0]),
-        exclude_boxes=np.concatenate([_outside(boxes[-1], low, high), boxes[:-1]]),
+        spacing=float(free.spacing[0]),
+        exclude_boxes=np.concatenate([_outside(boxes[number], low, high), boxes[:number]]),
         origin_offset=shift,
     )
     held = merge_slivers(held, share=SMALLEST_SHARE)
-    cell = np.rint((held.points.mean(1) - free.origin) / spacing).astype(np.int32)
-    apart = cKDTree(np.unique(free.cell, axis=0)).query(cell, p=np.inf)[0]
-    kept = apart <= REACH + 1e-9
-    return replace(
-        held, cell=cell[kept], part=held.part[kept], points=held.points[kept], volumes=held.volumes[kept]
-    )
+    cell = np.rint((held.points.mean(1) - free.origin) / free.spacing).astype(np.int32)
+    return replace(held, cell=cell)
 
 
 def _outside(box: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
