@@ -17,6 +17,7 @@ from mphygs.command import Answer, CommonOptions, Console, OptionError, names, r
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import capture_of, errors_of
+from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.run import Run, digest_of, is_run, load_run
 from mphygs.fit.schedule import default_spacing
@@ -47,7 +48,8 @@ class FitOptions(CommonOptions):
     frames: Annotated[str | None, tyro.conf.arg(metavar="i:j")] = None
     """Frames to fit, i to j - 1, instead of those that the capture states."""
     schedule: Literal["fast", "paper"] = "fast"
-    """fast: growing stretches of the motion, coarse grid first; paper: the paper's windows, for videos."""
+    """fast: growing stretches of the motion, coarse grid first; paper: the paper's
+    windows in mid-motion, each from the state that the markers give, by Adam on the adjoint."""
     transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
     """How particles and grid exchange momentum."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
@@ -57,7 +59,8 @@ class FitOptions(CommonOptions):
     law: Literal["neo-hookean", "fixed-corotated"] = "neo-hookean"
     """Law of elasticity."""
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
-    """Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, which is slower for so few unknowns."""
+    """Of the fast schedule: Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, slower for so few
+    unknowns."""
     plugin: Path | None = None
     """Python file that registers effects of your own, to be named like the others."""
     seed: int = 0
@@ -98,8 +101,8 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
     console.begin()
-    optimiser = str(state.options["optimiser"])
-    state = fit_run(state, experiment, optimiser=optimiser, progress=console.progress)
+    given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
+    state = fit_run(state, experiment, **given, progress=console.progress)
     state = replace(state, answer=_answer(state, experiment, console))
     state.save()
     return state, capture
@@ -159,9 +162,9 @@ def _check(options: FitOptions) -> None:
     if options.workers is not None and options.workers < 1:
         raise OptionError(f"--workers: got {options.workers}; expected 1 or more")
     if options.schedule == "paper":
-        raise OptionError(
-            "--schedule paper: its windows start from particles tracked in video; expected fast for markers"
-        )
+        check_windows(names(options.effects))
+        if options.optimiser == "lbfgs":
+            raise OptionError("--optimiser lbfgs: not with --schedule paper, whose optimiser is adam")
     check_effects(options.transfer, names(options.effects))
 
 

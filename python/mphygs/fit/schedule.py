@@ -26,6 +26,8 @@ HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 # How far any part's stiffness may be from the common scale that was found: without a bound a model that
 # lacks an effect makes a part of jelly that its own weight crushes.
 CONTRAST = 40.0
+# How many iterations a stage takes, as far as progress is concerned.
+USUAL_ITERATIONS = 5
 # Common factors on all Young's moduli that are tried before anything else.
 SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
 
@@ -39,6 +41,12 @@ class Stage:
     share: float
     iterations: int
     accuracy: float  # share of the cost that a last step may promise
+    reports: int = USUAL_ITERATIONS  # lines of progress to expect
+
+    @property
+    def work(self) -> float:
+        """Cost relative to that of other stages: cells times substeps times frames."""
+        return self.share * self.spacing**-4
 
 
 def default_spacing(capture: Capture) -> float:

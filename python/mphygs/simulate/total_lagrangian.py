@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from mphygs.simulate import core_runs
 from mphygs.simulate.body import Attachment, Body, core_model, with_places
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Arrays, Progress
-from mphygs.simulate.transfer import Start, Transfer
+from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
 
@@ -78,6 +79,30 @@ class TotalLagrangian(Transfer):
             }
             for slope in self.rest_shape.tangent(owner, parameters)
         ]
+
+    def admissible(self, start: Start, carried: Carried) -> Start:
+        """By the least change of the nodes that puts the trace on every held face where its hold is."""
+        g = self.body.geometry
+        if not len(g["row_hold"]):
+            return start
+        grid = np.rint((self.places_at_rest() - g["origin"]) / g["spacing"]).astype(int)
+        number = {tuple(index): k for k, index in enumerate(grid)}
+        rows = np.zeros((len(g["row_hold"]), len(grid)))
+        owner = np.repeat(np.arange(len(rows)), np.diff(g["row_begin"]))
+        for row, index, weight in zip(owner, g["row_node"], g["row_weight"], strict=True):
+            rows[row, number[tuple(index)]] += weight
+        wanted, speed = np.zeros((2, len(rows), 3))
+        for h in range(g["hold_count"]):
+            mine = g["row_hold"] == h
+            target = g["row_target"][mine]
+            now, speed[mine] = carried(h, target)
+            wanted[mine] = now - target
+        used = np.flatnonzero(rows.any(0))
+        solve = np.linalg.pinv(rows[:, used])
+        displacement, velocity = start.displacement.copy(), start.velocity.copy()
+        displacement[used] += solve @ (wanted - rows @ displacement)
+        velocity[used] += solve @ (speed - rows @ velocity)
+        return replace(start, displacement=displacement, velocity=velocity)
 
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         return fields | {"displacement0": start.displacement, "velocity0": start.velocity}

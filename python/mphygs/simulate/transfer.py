@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,9 @@ from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Arrays, Progress
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.settings import Settings
+
+# Places (K, 3) [m] and velocities [m/s] of points (K, 3) that hold number h carries.
+Carried = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +89,10 @@ class Transfer(ABC):
         self, owner: Belief, parameters: Sequence[Parameter]
     ) -> list[dict[str, np.ndarray]]:
         """Derivatives of `prestressed` by the coordinates of a belief's parameters."""
+
+    def admissible(self, start: Start, carried: Carried) -> Start:
+        """The state nearest to a given one that agrees with the holds. carried: see Carried."""
+        return start
 
     @abstractmethod
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
