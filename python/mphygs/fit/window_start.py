@@ -16,7 +16,7 @@ from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.transfer import Start
 
 # Frames to either side that a marker's place and speed are taken from, and fewest of them.
-REACH, FEWEST = 3, 4
+REACH, FEWEST = 3, 5
 FEWEST_MARKERS = 4
 # Against noise: trust in a marker, in units of the radial function at the size of the object.
 SMOOTHING = 1e-5
@@ -71,7 +71,7 @@ def start_at(predictor: Predictor, observation: Observation, frame: int) -> Star
 def _at_frame(observation: Observation, frame: int, fps: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Place (M, 3) [m] and velocity (M, 3) [m/s] of every marker, and (M,) whether it is seen well enough.
 
-    By the parabola through the frames around, as many as are seen.
+    By the cubic through the frames around, as many as are seen.
     """
     first, last = max(frame - REACH, 0), min(frame + REACH + 1, len(observation.position))
     times = (np.arange(first, last) - frame) / fps
@@ -79,7 +79,7 @@ def _at_frame(observation: Observation, frame: int, fps: float) -> tuple[np.ndar
     good = seen.sum(0) >= FEWEST
     place, velocity = np.zeros((2, *observation.position.shape[1:]))
     for m in np.flatnonzero(good):
-        powers = times[seen[:, m], None] ** np.arange(3)
+        powers = times[seen[:, m], None] ** np.arange(4)
         found = np.linalg.lstsq(powers, observation.position[first:last, m][seen[:, m]], rcond=None)[0]
         place[m], velocity[m] = found[0], found[1]
     return place, velocity, good
