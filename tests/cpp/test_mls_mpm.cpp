@@ -366,6 +366,19 @@ TEST(MlsMpm, ADistantJourneyStaysOnTheGrid) {
     EXPECT_GT(t.position[size], 7.0);  // 800 cells away
 }
 
+TEST(MlsMpm, TheDampingRateIsThatOfTheEffectAlone) {
+    auto c = mls_case<double>({6, 6, 12}, {1}, false);
+    c.fields.node_force.clear();
+    c.fields.deformation0.clear();
+    const std::size_t damping = test::effect_index("mass_damping");
+    c.settings.active[damping] = true;
+    double& alpha = c.fields.effect[test::parameter_of(damping)];
+    alpha = 0;
+    EXPECT_NEAR(c.model().largest_rates(c.fields)[1], 0, 1e-6);
+    alpha = 7;
+    EXPECT_NEAR(c.model().largest_rates(c.fields)[1], 7, 0.1);
+}
+
 /// Just below the limit of symplectic Euler the run is stable, well above it is not.
 TEST(MlsMpm, LargestRatesBoundTheSubstep) {
     auto c = mls_case<double>({6, 6, 12}, {1}, false);

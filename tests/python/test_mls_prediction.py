@@ -216,6 +216,8 @@ def test_the_substep_is_stable_and_told() -> None:
     found = one.predict(soft)
     assert 0.9 * longest < found.dt <= longest
     assert found.substeps == pytest.approx(0.05 / found.dt)
+    damped = soft.with_effect("mass_damping", {"alpha": 2.0})
+    assert one.stable_substep(damped) == pytest.approx(longest, rel=1e-2), "so little does not shorten it"
 
 
 def test_an_unstable_run_names_frame_part_and_cause() -> None:
