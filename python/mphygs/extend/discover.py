@@ -289,6 +289,8 @@ def discover(
         generator = np.random.default_rng((seed, len(steps)))
         if current.assessment.adequate or len(current.belief.terms) >= LARGEST_MODEL:
             break
+        if names is not None and set(names) <= set(current.belief.effects):
+            break
         window = tractable_window(experiment, current, spacing, say)
         fitted = window[1]
         share = allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])
