@@ -74,8 +74,8 @@ def test_a_start_in_mid_motion_goes_on_as_the_whole_motion_does(transfer: str) -
     np.testing.assert_array_equal(went_on.frames, np.arange(6, 11))
     expected = whole.position[6:11]
     assert np.abs(expected[-1] - expected[0]).max() > 3e-3, "the bar should move on"
-    # Measured, from 20 markers: apart by 7 % of the largest motion at most, 17 % with MLS, whose particles keep
-    # the strain that was interpolated.
+    # Measured, from 20 markers: apart by 7 % of the largest motion at most, 17 % with MLS, whose particles
+    # keep the strain that was interpolated.
     largest = np.abs(whole.position - whole.position[0]).max()
     share = 0.1 if transfer == "total-lagrangian" else 0.22
     np.testing.assert_allclose(went_on.position, expected, atol=share * largest)

@@ -113,8 +113,8 @@ def test_recovers_youngs_modulus_from_markers_of_the_other_transfer() -> None:
         observations = {"a": observe(measured, one.attachment)}
         problem = Problem(capture, settings, {"a": (0, 9)}, observations, {"a": one})
         found.append(minimise(problem, start, iterations=5).belief["part0.youngs_modulus"].value / 1e5)
-    # The discretisation's share, not the fit's: measured 0.758 on six cells along the bar, 0.845 on nine. Nodes
-    # half a cell inside the bar follow the clamp: (1 - 0.5 / 6)^3 = 0.77, (1 - 0.5 / 9)^3 = 0.84.
+    # The discretisation's share, not the fit's: measured 0.758 on six cells along the bar, 0.845 on nine.
+    # Nodes half a cell inside the bar follow the clamp: (1 - 0.5 / 6)^3 = 0.77, (1 - 0.5 / 9)^3 = 0.84.
     for value, cells in zip(found, (6, 9), strict=True):
         assert value == pytest.approx((1.0 - 0.5 / cells) ** 3, abs=0.06)
 
