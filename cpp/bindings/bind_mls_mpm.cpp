@@ -28,7 +28,7 @@ MlsGeometry to_mls_geometry(const py::dict& d) {
     return g;
 }
 
-/// The common settings and two of this transfer.
+/// The common settings and those of this transfer.
 MlsSettings to_mls_settings(const py::dict& d) {
     py::dict common(py::reinterpret_steal<py::dict>(PyDict_Copy(d.ptr())));
     MlsSettings s;
@@ -39,6 +39,7 @@ MlsSettings to_mls_settings(const py::dict& d) {
         }
     };
     take("hold_relaxation", s.hold_relaxation);
+    take("hold_weight", s.hold_weight);
     take("sort_interval", s.sort_interval);
     static_cast<Settings&>(s) = to_settings(common);
     return s;

@@ -57,6 +57,7 @@ MlsMpm<T>::MlsMpm(MlsGeometry geometry, MlsSettings settings) : geometry_(std::m
         require(std::isfinite(x), "points: a coordinate is not finite");
     }
     require(settings_.hold_relaxation >= 1, "hold_relaxation must be at least 1: a held particle would overshoot");
+    require(settings_.hold_weight >= 1, "hold_weight must be at least 1");
     require(settings_.sort_interval >= 1, "sort_interval must be at least 1");
     slots_ = make_slots(settings_.active);
     sites_ = active_sites(slots_);

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -26,6 +26,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
 from mphygs.fit.schedule import screening_spacing
+from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs discover"
 # The first model's fit, kept inside the run folder.
@@ -47,6 +48,8 @@ class DiscoverOptions(CommonOptions):
     """Effects and faults that may be added; default: every known one."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="i:j")] = None
     """Frames to fit, i to j - 1, instead of those that the capture states."""
+    transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
+    """How particles and grid exchange momentum."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
     """Grid spacing [m]; default: 1.7 times that of fit, for many models are tried."""
     plugin: Path | None = None
@@ -67,6 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def loop(options: DiscoverOptions, console: Console) -> Answer:
     """Run the loop; every step is kept in the run folder as soon as it is done."""
     candidates = known_effects(options.effects) if options.plugin is None else names(options.effects) or None
+    check_effects(options.transfer, candidates or ())
     out = options.out or _default_folder(options)
     first = out / FIRST
     kept = _kept(out) if options.resume else {}

@@ -67,6 +67,7 @@ MlsCase<T> mls_case(std::array<int, 3> shape, std::vector<int> steps, bool hold)
     c.settings.active.assign(Registry::count, false);
     c.settings.sort_interval = 3;
     c.settings.hold_relaxation = 4;
+    c.settings.hold_weight = 7;
 
     Fields<T>& f = c.fields;
     const auto number = [&](double x) { return static_cast<T>(x); };

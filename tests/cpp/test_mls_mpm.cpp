@@ -302,6 +302,59 @@ TEST(MlsMpm, HeldParticlesFollowTheirHold) {
     }
 }
 
+/// Young's modulus that beam theory sees in the static deflection of a cantilever of 20 x 20 x 100
+/// mm, over the true one.
+double modulus_seen(double spacing) {
+    const double s = spacing / 2, width = 0.02, length = 0.1, held = 0.02, young = 1e5, nu = 0.3, g = 0.5;
+    MlsCase<float> c;
+    c.geometry.spacing = spacing;
+    c.geometry.hold_count = 1;
+    for (double x = s / 2; x < width; x += s) {
+        for (double y = s / 2; y < width; y += s) {
+            for (double z = s / 2 - held; z < length; z += s) {
+                c.geometry.points.insert(c.geometry.points.end(), {x, y, z});
+                c.geometry.part.push_back(0);
+                c.geometry.hold.push_back(z < 0 ? 0 : -1);
+            }
+        }
+    }
+    const std::size_t count = c.geometry.particle_count(), damping = test::effect_index("mass_damping");
+    const double mu = young / (2 * (1 + nu));
+    c.settings.active.assign(Registry::count, false);
+    c.settings.active[damping] = true;
+    c.fields.mu.assign(count, static_cast<float>(mu));
+    c.fields.lambda.assign(count, static_cast<float>(young * nu / ((1 + nu) * (1 - 2 * nu))));
+    c.fields.stress_volume.assign(count, static_cast<float>(s * s * s));
+    c.fields.mass.assign(count, static_cast<float>(1000 * s * s * s));
+    c.fields.gravity = {static_cast<float>(g), 0, 0};
+    c.fields.effect.assign(Registry::parameter_count, 0.0f);
+    c.fields.effect[test::parameter_of(damping)] = 20;
+    const double dt = 0.028 * spacing;
+    c.schedule.steps = {static_cast<int>(0.5 / dt)};
+    c.schedule.dt = {dt};
+    for (int n = 0; n <= c.schedule.steps[0]; ++n) {
+        c.fields.pose.insert(c.fields.pose.end(), {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0});
+    }
+    const auto t = c.model().simulate(c.fields, c.schedule);
+    double moved = 0, tips = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+        if (c.geometry.points[3 * i + 2] > length - s) {
+            moved += static_cast<double>(t.position[3 * (count + i)]) - c.geometry.points[3 * i];
+            tips += 1;
+        }
+    }
+    const double z = length - s / 2, load = 1000 * width * width * g, inertia = std::pow(width, 4) / 12;
+    const double bending = load / (24 * young * inertia) * (std::pow(z, 4) - 4 * length * std::pow(z, 3) + 6 * length * length * z * z);
+    const double shear = load / (5.0 / 6.0 * mu * width * width) * (length * z - z * z / 2);
+    return (bending + shear) * tips / moved;
+}
+TEST(MlsMpm, TheClampKeepsTheModulusUnderRefinement) {
+    const double coarse = modulus_seen(0.01), fine = modulus_seen(0.005);
+    EXPECT_NEAR(coarse, 1, 0.08);
+    EXPECT_NEAR(fine, 1, 0.03);
+    EXPECT_NEAR(coarse, fine, 0.06);
+}
+
 TEST(MlsMpm, ADistantJourneyStaysOnTheGrid) {
     auto c = mls_case<double>({3, 3, 3}, {2000}, false);
     for (std::size_t i = 0; i < c.fields.velocity0.size(); ++i) {
@@ -311,6 +364,19 @@ TEST(MlsMpm, ADistantJourneyStaysOnTheGrid) {
     const auto t = c.model().simulate(c.fields, c.schedule);
     const std::size_t size = t.position.size() / 2;
     EXPECT_GT(t.position[size], 7.0);  // 800 cells away
+}
+
+TEST(MlsMpm, TheDampingRateIsThatOfTheEffectAlone) {
+    auto c = mls_case<double>({6, 6, 12}, {1}, false);
+    c.fields.node_force.clear();
+    c.fields.deformation0.clear();
+    const std::size_t damping = test::effect_index("mass_damping");
+    c.settings.active[damping] = true;
+    double& alpha = c.fields.effect[test::parameter_of(damping)];
+    alpha = 0;
+    EXPECT_NEAR(c.model().largest_rates(c.fields)[1], 0, 1e-6);
+    alpha = 7;
+    EXPECT_NEAR(c.model().largest_rates(c.fields)[1], 7, 0.1);
 }
 
 /// Just below the limit of symplectic Euler the run is stable, well above it is not.

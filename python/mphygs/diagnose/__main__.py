@@ -23,6 +23,7 @@ from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of
 from mphygs.model.registry import effects
+from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs diagnose"
 DOCUMENT = "diagnosis.json"
@@ -60,6 +61,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
     candidates = known_effects(options.effects)
+    check_effects(state.transfer, candidates or ())
     experiment, belief = experiment_of(state, workers=options.workers)
     spacing = state.settings.spacing
     first = step_at(experiment, belief, spacing)

@@ -11,6 +11,7 @@ from mphygs.fit.start import with_effect
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effects
 from mphygs.simulate.body import Body
+from mphygs.simulate.settings import impossible_effects
 
 # Relaxation times [s] whose tangents are tried; the refit moves on from the best.
 RELAXATION_TIMES = (0.02, 0.1, 0.5)
@@ -51,8 +52,8 @@ def _way(
 
 def spread_places(body: Body, count: int) -> np.ndarray:
     """(count, 3) material points far from each other and from the holds, farthest first [m]."""
-    points = body.quadrature.points.mean(1)
-    held = body.geometry["row_target"]
+    points = body.quadrature.points[: body.free_block_count].mean(1)
+    held = body.held_points
     distance = np.full(len(points), np.inf)
     if len(held):
         distance = np.linalg.norm(points[:, None] - held[None], axis=-1).min(1)
@@ -70,8 +71,9 @@ def principal_axis(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = None) -> list[Way]:
-    """All ways of all smooth effects that the model does not have yet, and of the smooth faults."""
+    """All ways of all smooth effects and faults that the model lacks and the body's transfer can have."""
     wanted = set(effects() if names is None else names) - set(belief.effects)
+    wanted -= set(impossible_effects(body.transfer))
     ways: list[Way] = []
 
     def add(name: str, label: str, parameters: Sequence[str], **constants: dict) -> None:

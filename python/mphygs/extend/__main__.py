@@ -19,6 +19,7 @@ from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of
 from mphygs.model.registry import effect, effects
+from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs extend"
 DOCUMENT = "steps.json"
@@ -56,6 +57,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     source = options.run.resolve()
     out = options.out or options.run.parent / "-".join([source.name, *wanted])
+    check_effects(state.transfer, wanted)
     if out.resolve() == source:
         raise OptionError(f"--out {out}: is the run that is extended; expected another folder")
     experiment, belief = experiment_of(state, workers=options.workers)

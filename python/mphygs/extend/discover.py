@@ -299,6 +299,8 @@ def discover(
         spacing = current.spacing
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
         generator = np.random.default_rng((seed, len(steps)))
+        if names is not None and set(names) <= set(current.belief.effects):
+            break
         window = tractable_window(experiment, current, spacing, say)
         fitted = window[1]
         share = allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])

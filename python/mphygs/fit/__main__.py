@@ -17,6 +17,7 @@ from mphygs.command import Answer, CommonOptions, Console, OptionError, names, r
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import capture_of, errors_of
+from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.run import Run, digest_of, is_run, load_run
 from mphygs.fit.schedule import default_spacing
@@ -24,7 +25,7 @@ from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, parameters_of, parameters_text
 from mphygs.model.registry import effects
 from mphygs.model.user_effect import load_plugin
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.settings import Settings, check_effects
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
@@ -47,7 +48,8 @@ class FitOptions(CommonOptions):
     frames: Annotated[str | None, tyro.conf.arg(metavar="i:j")] = None
     """Frames to fit, i to j - 1, instead of those that the capture states."""
     schedule: Literal["fast", "paper"] = "fast"
-    """fast: growing stretches of the motion, coarse grid first; paper: the paper's windows, for videos."""
+    """fast: growing stretches of the motion, coarse grid first; paper: the paper's
+    windows in mid-motion, each from the state that the markers give, by Adam on the adjoint."""
     transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
     """How particles and grid exchange momentum."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
@@ -57,7 +59,8 @@ class FitOptions(CommonOptions):
     law: Literal["neo-hookean", "fixed-corotated"] = "neo-hookean"
     """Law of elasticity."""
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
-    """Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, which is slower for so few unknowns."""
+    """Of the fast schedule: Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, slower for so few
+    unknowns."""
     plugin: Path | None = None
     """Python file that registers effects of your own, to be named like the others."""
     seed: int = 0
@@ -98,8 +101,8 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
     console.begin()
-    optimiser = str(state.options["optimiser"])
-    state = fit_run(state, experiment, optimiser=optimiser, progress=console.progress)
+    given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
+    state = fit_run(state, experiment, **given, progress=console.progress)
     state = replace(state, answer=_answer(state, experiment, console))
     state.save()
     return state, capture
@@ -159,11 +162,10 @@ def _check(options: FitOptions) -> None:
     if options.workers is not None and options.workers < 1:
         raise OptionError(f"--workers: got {options.workers}; expected 1 or more")
     if options.schedule == "paper":
-        raise OptionError(
-            "--schedule paper: its windows start from particles tracked in video; expected fast for markers"
-        )
-    if options.transfer == "mls":
-        raise OptionError("--transfer mls: fitting with it is not built yet; expected total-lagrangian")
+        check_windows(names(options.effects))
+        if options.optimiser == "lbfgs":
+            raise OptionError("--optimiser lbfgs: not with --schedule paper, whose optimiser is adam")
+    check_effects(options.transfer, names(options.effects))
 
 
 def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
@@ -182,7 +184,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         capture = load_capture(path)
         out = out or RUNS / capture.name
         _claim(out)
-    settings = Settings(spacing=options.spacing or default_spacing(capture))
+    settings = Settings(spacing=options.spacing or default_spacing(capture), transfer=options.transfer)
     wanted = names(options.sequences)
     belief = starting_belief(capture, prestress=options.prestress, law=options.law)
     frames = _frames(options.frames, capture, wanted)
@@ -203,7 +205,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         given["plugin"] = str(options.plugin.resolve())
     state = Run(
         folder=out, options=given, seed=options.seed, capture=path, digest=digest_of(capture),
-        settings=settings, transfer=options.transfer, ranges=dict(experiment.fitted),
+        settings=settings, ranges=dict(experiment.fitted),
         start=belief, belief=belief,
     )  # fmt: skip
     return state, capture

@@ -12,7 +12,7 @@ from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import Stage, find_scale, plan_of
 from mphygs.model.belief import Belief
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.settings import Settings
 
 # A stage takes at most this many gradients for each iteration of Gauss-Newton.
 GRADIENTS = 12

@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
+from mphygs.fit.paper_plan import PaperStage, paper_plan
 from mphygs.fit.run import Run, StageRecord
 from mphygs.fit.schedule import Stage, fit_belief, plan_of
-from mphygs.simulate.prestress import RestShape
-
-# How many iterations a stage takes, as far as progress is concerned.
-USUAL_ITERATIONS = 5
-
-
-def _work(stage: Stage) -> float:
-    """Cost of a stage relative to others: cells times substeps times frames."""
-    return stage.share * stage.spacing**-4
 
 
 def _forget(experiment: Experiment) -> None:
     """Drop what rest shapes remember of their last solution: the next stage begins as after a resume."""
     for problem in experiment.problems.values():
         for predictor in problem.predictors.values():
-            predictor.rest_shape = RestShape(predictor.body)
+            predictor.transfer.forget()
 
 
 def fit_run(
@@ -35,20 +27,26 @@ def fit_run(
     experiment: Experiment,
     *,
     optimiser: str = "gauss-newton",
+    schedule: str = "fast",
     warm: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Run:
     """Run the stages that a run has not had yet; the folder is written after each of them.
 
-    optimiser: gauss-newton, adam or lbfgs; warm: the run's belief is near its minimum already; progress: told
-    the share of the work done, and a line.
+    optimiser: gauss-newton, adam or lbfgs, of the schedule "fast"; schedule: that, or "paper", which takes
+    Adam; warm: the run's belief is near its minimum already (fast only); progress: told the share of the work
+    done, and a line.
     Raises SimulationError where the fit cannot start.
     """
     if run.complete:
         return run
-    plan = plan_of(experiment.capture, run.settings.spacing, warm=warm)
-    total = sum(_work(stage) for stage in plan)
-    done = sum(_work(stage) for stage in plan[: len(run.history)])
+    paper = schedule == "paper"
+    spacing = run.settings.spacing
+    plan: Sequence[Stage | PaperStage] = (
+        paper_plan(spacing, experiment.fitted) if paper else plan_of(experiment.capture, spacing, warm=warm)
+    )
+    total = sum(stage.work for stage in plan)
+    done = sum(stage.work for stage in plan[: len(run.history)])
     begin = time.monotonic()
     steps = 0
     experiment.problem(run.settings.spacing)  # the noise is learnt once, and before anything is fitted
@@ -57,10 +55,11 @@ def fit_run(
         nonlocal steps
         steps += 1
         if progress:
-            share = min(steps / (USUAL_ITERATIONS + 1), 0.95)
-            progress((done + share * _work(plan[min(len(run.history), len(plan) - 1)])) / total, line)
+            stage = plan[min(len(run.history), len(plan) - 1)]
+            share = min(steps / (stage.reports + 1), 0.95)
+            progress((done + share * stage.work) / total, line)
 
-    def after_stage(stage: Stage, solution: Solution) -> None:
+    def after_stage(stage: Stage | PaperStage, solution: Solution) -> None:
         nonlocal run, done, begin, steps
         now = time.monotonic()
         record = StageRecord(
@@ -81,11 +80,15 @@ def fit_run(
             )
         run.save()
         _forget(experiment)
-        done, begin, steps = done + _work(stage), now, 0
+        done, begin, steps = done + stage.work, now, 0
 
     _forget(experiment)
     minimiser: Callable[..., object] = fit_belief
-    if optimiser != "gauss-newton":
+    if paper:
+        from mphygs.fit.paper import fit_by_windows
+
+        minimiser = fit_by_windows
+    elif optimiser != "gauss-newton":
         # torch takes seconds to import, and Gauss-Newton does without it.
         from mphygs.fit.by_gradient import fit_by_gradient
 
@@ -96,7 +99,7 @@ def fit_run(
         experiment.fitted,
         experiment.observations,
         run.settings,
-        warm=warm,
+        **({} if paper else {"warm": warm}),
         report=report,
         after_stage=after_stage,
         start_stage=len(run.history),

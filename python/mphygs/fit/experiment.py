@@ -13,7 +13,8 @@ from mphygs.compare.noise import Observation, observe
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
-from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.settings import Settings
 
 # Refinement that shows the discretisation's share; the error falls with the square of the spacing.
 REFINEMENT = 1.5

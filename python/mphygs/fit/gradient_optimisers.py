@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import torch
@@ -78,13 +79,18 @@ def cost_and_gradient(problem: Problem, belief: Belief) -> tuple[float, np.ndarr
 
 
 @dataclass
-class _Objective:
-    """What the optimisers see: cost and gradient per cost unit, with bounds and a wall where nothing runs."""
+class Objective:
+    """What the optimisers see: cost and gradient per cost unit, with bounds and a wall where nothing runs.
 
-    problem: Problem
+    measure: cost and gradient (P,) by the free coordinates at a belief; belief: where the search begins;
+    unit: what one unit of cost is; axes: (P, P), coordinates = those of the belief + axes @ point;
+    best, at_best: the least cost that was met, and its coordinates (P,).
+    """
+
+    measure: Callable[[Belief], tuple[float, np.ndarray]]
     belief: Belief
     unit: float
-    axes: np.ndarray  # (P, P) coordinates = those of the belief + axes @ point
+    axes: np.ndarray
     best: float = np.inf
     at_best: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
@@ -98,7 +104,7 @@ class _Objective:
         moved = self.belief.at(coordinates)
         inside = moved.coordinates
         try:
-            cost, gradient = cost_and_gradient(self.problem, moved)
+            cost, gradient = self.measure(moved)
         except SimulationError:
             if not np.isfinite(self.best):
                 raise
@@ -151,7 +157,7 @@ def minimise_by_gradient(
             square + 1e-6 * np.diag(np.diag(square)) + 1e-12 * np.trace(square) * np.eye(count)
         )
         axes = np.sqrt(unit) * np.linalg.inv(root).T
-    objective = _Objective(problem, belief, unit, axes)
+    objective = Objective(partial(cost_and_gradient, problem), belief, unit, axes)
     point = torch.zeros(count, dtype=torch.float64, requires_grad=True)
     rate = LEARNING_RATES[method] if learning_rate is None else learning_rate
     schedule = None

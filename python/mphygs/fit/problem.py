@@ -11,7 +11,8 @@ from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.settings import Settings
 
 # Relative accuracy to which a stated mass of the whole object is held.
 MASS_TOLERANCE = 2e-3

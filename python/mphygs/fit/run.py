@@ -19,11 +19,10 @@ from mphygs.capture.format import Capture
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
 from mphygs.model.belief import Belief
 from mphygs.model.user_effect import load_plugin
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.settings import Settings
 
 FORMAT = "mphygs-run/1"
 DOCUMENT, NUMBERS = "run.json", "numbers.safetensors"
-TRANSFERS = ("total-lagrangian", "mls")
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,6 @@ class Run:
     capture: Path
     digest: str
     settings: Settings
-    transfer: str
     ranges: Mapping[str, tuple[int, int]]
     start: Belief
     belief: Belief
@@ -66,6 +64,11 @@ class Run:
     history: tuple[StageRecord, ...] = ()
     left_out: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     answer: Mapping[str, object] | None = None
+
+    @property
+    def transfer(self) -> str:
+        """Name of the transfer that simulates."""
+        return self.settings.transfer
 
     @property
     def complete(self) -> bool:
@@ -203,8 +206,7 @@ def load_run(path: str | Path) -> Run:
             # A capture inside the run folder moves with it.
             capture=folder / document["capture"],
             digest=document["digest"],
-            settings=Settings(**document["settings"]),
-            transfer=document["transfer"],
+            settings=Settings(**document["settings"], transfer=document["transfer"]),
             ranges={name: (int(a), int(b)) for name, (a, b) in document["ranges"].items()},
             start=belief_from_document(document["start"]),
             belief=belief,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.settings import Settings
 
 # Cells that an object of default spacing is worth: about 250 of its volume.
 DEFAULT_CELLS = 250
@@ -26,6 +26,8 @@ HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 # How far any part's stiffness may be from the common scale that was found: without a bound a model that
 # lacks an effect makes a part of jelly that its own weight crushes.
 CONTRAST = 40.0
+# How many iterations a stage takes, as far as progress is concerned.
+USUAL_ITERATIONS = 5
 # Common factors on all Young's moduli that are tried before anything else.
 SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
 
@@ -39,6 +41,12 @@ class Stage:
     share: float
     iterations: int
     accuracy: float  # share of the cost that a last step may promise
+    reports: int = USUAL_ITERATIONS  # lines of progress to expect
+
+    @property
+    def work(self) -> float:
+        """Cost relative to that of other stages: cells times substeps times frames."""
+        return self.share * self.spacing**-4
 
 
 def default_spacing(capture: Capture) -> float:
@@ -152,9 +160,7 @@ def fit_belief(
         if number < start_stage:
             continue
         if stage.spacing not in problems:
-            own = Settings(
-                stage.spacing, settings.safety, settings.workers, settings.dtype, settings.memory_budget
-            )
+            own = replace(settings, spacing=stage.spacing)
             problems[stage.spacing] = Problem(capture, own, ranges, observations)
         problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
         if number == 0 and not warm:

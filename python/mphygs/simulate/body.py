@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -53,6 +53,21 @@ class Body:
         return len(self.quadrature.part)
 
     @property
+    def free_block_count(self) -> int:
+        """Blocks of material that no hold carries; they are the first."""
+        return self.block_count
+
+    @property
+    def held_points(self) -> np.ndarray:
+        """(R, 3) places on the faces where holds grip [m]."""
+        return self.geometry["row_target"]
+
+    @property
+    def transfer(self) -> str:
+        """Name of the transfer that it was discretised for."""
+        return "total-lagrangian"
+
+    @property
     def point_part(self) -> np.ndarray:
         """(B, 8) part index of every point."""
         return np.repeat(self.quadrature.part[:, None], LANES, axis=1)
@@ -79,6 +94,19 @@ class Body:
             distance = (np.maximum(gap - 0.5, 0.0) ** 2).sum(-1) + 1e-6 * (gap**2).sum(-1)
             result[start : start + 2048] = cells[distance.argmin(1)]
         return result
+
+    def inside(self, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of all points (N,) stand in a box (2, 3) [m], and each one's share of the volume there.
+
+        A box that misses all material gets the nearest point. What a hold carries is left out.
+        """
+        free = slice(0, LANES * self.free_block_count)
+        points, volumes = self.quadrature.points.reshape(-1, 3)[free], self.quadrature.volumes.ravel()
+        within = np.zeros(len(volumes), bool)
+        within[free] = ((points >= box[0]) & (points <= box[1])).all(1)
+        if not within.any():
+            within[np.abs(points - box.mean(0)).sum(1).argmin()] = True
+        return within, volumes[within] / volumes[within].sum()
 
     def attach(self, points: np.ndarray) -> Attachment:
         """Attach measured points given at rest, (M, 3) [m]."""
@@ -244,6 +272,13 @@ def _column(nodes: set, axis: int, across: list[int], key: tuple[int, int], heig
         if all(c in nodes for c in column):
             return span, column
     return None
+
+
+def with_places(body: Body, spots: np.ndarray) -> Body:
+    """The body with effects at other places, (K, 3) [m]."""
+    if not len(spots):
+        return body
+    return replace(body, geometry=body.geometry | {"places": spots, "place_cell": body.nearest_cell(spots)})
 
 
 def core_model(

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mphygs import _core
+from mphygs.simulate import core_runs
 from mphygs.simulate.body import Body
 from mphygs.simulate.user_forces import UserForces
 
@@ -28,7 +28,8 @@ NO_SECOND_DERIVATIVE = (
 )
 NO_BATCHED_INPUTS = "vmap over the inputs of a rollout: expected windows in one call instead"
 
-NodeState = tuple[Tensor, Tensor]
+# Displacement and velocity of nodes, or position, velocity and deformation of particles.
+States = tuple[Tensor, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +104,8 @@ class _Rollout(torch.autograd.Function):
     def forward(plan: _Plan, *tensors: Tensor) -> tuple[Tensor, ...]:
         arrays = [_array(t) for t in tensors]
         runs = plan.each(
-            lambda w: plan.model.simulate(
-                plan.fields(w, arrays), plan.schedules[w], None, plan.hook(w, arrays)
+            lambda w: core_runs.simulate(
+                plan.model, plan.fields(w, arrays), plan.schedules[w], None, plan.hook(w, arrays)
             )
         )
         return tuple(torch.from_numpy(a) for run in runs for a in run)
@@ -143,15 +144,16 @@ class _Gradient(torch.autograd.Function):
     ) -> tuple[Tensor | None, ...]:
         inputs, bars = tensors[:count], tensors[count:]
         arrays = [_array(t) for t in inputs]
-        empty = np.zeros(0, arrays[0].dtype)
+        size = core_runs.state_size(plan.model)
 
         def work(window: int) -> tuple[dict[str, np.ndarray], UserForces | None]:
-            u, v = (empty if b is None else _array(b) for b in bars[2 * window : 2 * window + 2])
-            if not u.size and not v.size:
+            own = bars[size * window : size * (window + 1)]
+            if all(bar is None for bar in own):
                 return {}, None
             hook = plan.hook(window, arrays)
-            fields = plan.fields(window, arrays)
-            return plan.model.adjoint(fields, plan.schedules[window], u, v, None, hook)[0], hook
+            given = [None if bar is None else _array(bar) for bar in own]
+            fields, schedule = plan.fields(window, arrays), plan.schedules[window]
+            return core_runs.adjoint(plan.model, fields, schedule, given, hook), hook
 
         sums: list[np.ndarray | None] = [
             np.zeros_like(a) if w else None for a, w in zip(arrays, wanted, strict=True)
@@ -225,15 +227,16 @@ class _Tangent(torch.autograd.Function):
 def _tangents(
     plan: _Plan, arrays: list[np.ndarray], directions: list[list[np.ndarray | None]]
 ) -> list[np.ndarray]:
-    """Derivatives of displacement and velocity of every window, each (K, F + 1, N, 3)."""
+    """Derivatives of every window's states, each (K, F + 1, N, ...)."""
 
     def work(window: int) -> list:
         fields = [plan.fields(window, direction) for direction in directions]
         hook = plan.hook(window, arrays, directions)
-        return plan.model.tangent(plan.fields(window, arrays), fields, plan.schedules[window], None, hook)[1:]
+        own = plan.fields(window, arrays)
+        return core_runs.tangent(plan.model, own, fields, plan.schedules[window], None, hook)[1:]
 
-    runs = plan.each(work)
-    return [np.stack([tangent[part] for tangent in run]) for run in runs for part in range(2)]
+    size = core_runs.state_size(plan.model)
+    return [np.stack([tangent[part] for tangent in run]) for run in plan.each(work) for part in range(size)]
 
 
 def rollout_windows(
@@ -243,23 +246,27 @@ def rollout_windows(
     *,
     workers: int = 1,
     user: UserTerms | None = None,
-) -> tuple[NodeState, ...]:
-    """Node displacement (F + 1, N, 3) [m] and velocity (F + 1, N, 3) [m/s] of every window at its frames.
+) -> tuple[States, ...]:
+    """States of every window at its frames, the initial one included.
 
-    model: a compiled TotalLagrangianFloat32 or Float64, which holds the memory budget of the adjoint;
+    model: a compiled model, which holds the memory budget of the adjoint. Of a TotalLagrangianFloat32 or
+    Float64 the states are node displacement (F + 1, N, 3) [m] and velocity (F + 1, N, 3) [m/s]; of an
+    MlsMpmFloat32 or Float64 particle position [m], velocity [m/s] and deformation (F + 1, N, 3, 3);
     shared: fields of all windows, named as in FIELD_NAMES, in the model's precision; workers: windows run
     side by side; user: effects in Python. Differentiable by every field and by the user's parameters,
     backward and forward; torch.func.jacfwd carries all directions in one run. The result does not depend on
     `workers`, to the bit.
 
-    Raises ValueError for an unknown field, another precision or a wrong size, SimulationError for an
-    unstable run, NotImplementedError for second derivatives.
+    Raises ValueError for an unknown field, another precision, a wrong size or effects in Python with MLS-MPM,
+    SimulationError for an unstable run, NotImplementedError for second derivatives.
     """
     if not windows:
         raise ValueError("rollout_windows: expected at least one window")
     if workers < 1:
         raise ValueError(f"workers = {workers}: expected at least 1")
-    dtype = torch.float32 if isinstance(model, _core.TotalLagrangianFloat32) else torch.float64
+    if user is not None and core_runs.is_mls(model):
+        raise ValueError(core_runs.NO_HOOK)
+    dtype = torch.float32 if core_runs.number_of(model) is np.float32 else torch.float64
     tensors: list[Tensor] = []
 
     def keep(tensor: Tensor, what: str) -> int:
@@ -284,7 +291,8 @@ def rollout_windows(
         keep(user.parameters, "the user's parameters")
         plan = _Plan(model, schedules, slots, workers, user.names, user.body)
     out = _Rollout.apply(plan, *tensors)
-    return tuple(zip(out[0::2], out[1::2], strict=True))
+    size = core_runs.state_size(model)
+    return tuple(out[k : k + size] for k in range(0, len(out), size))
 
 
 def rollout(
@@ -293,6 +301,6 @@ def rollout(
     schedule: Mapping[str, object],
     *,
     user: UserTerms | None = None,
-) -> NodeState:
+) -> States:
     """One window; see `rollout_windows`."""
     return rollout_windows(model, fields, [Window(schedule)], user=user)[0]

@@ -12,7 +12,8 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 from mphygs.simulate.body import Body
-from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.settings import Settings
 from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.recipe import Recipe

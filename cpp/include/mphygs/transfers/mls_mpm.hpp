@@ -47,6 +47,11 @@ struct MlsGeometry {
 struct MlsSettings : Settings {
     /// kappa of the hold's velocity (x_n+1 - x_n)/dt + (x_n - x)/(kappa dt); at least 1.
     double hold_relaxation = 10;
+    /// Held particles count this many times in the mass and momentum of the grid: nodes that they
+    /// share with free ones follow the hold, so that the clamp lies on its face. On a cantilever
+    /// ten times as long as a 10 mm (5 mm) cell the modulus seen is 0.945 (0.983) of the true one
+    /// with 100, and 0.71 (0.84) with 1, nearly whatever kappa is.
+    double hold_weight = 100;
     /// Substeps between two sorts of the particles by cell: speed only.
     int sort_interval = 32;
 };

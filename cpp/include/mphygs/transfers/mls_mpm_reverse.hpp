@@ -511,6 +511,9 @@ class MlsMpmReverse {
     Fields<T> collect() {
         flush();
         const std::size_t count = model_.particle_count(), size = model_.padded_;
+        for (std::size_t i = 0; i < model_.geometry_.hold.size(); ++i) {
+            mass_[i] *= model_.geometry_.hold[i] >= 0 ? model_.settings_.hold_weight : 1.0;
+        }
         if (table_.count() == 0) {  // the loss sees the initial state alone
             v_bar_.assign(3 * size, T{});
             for (std::size_t p = 0; p < size; p += lane_count) {

@@ -174,6 +174,8 @@ class MlsMpmRun {
                 scatter_tile<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
             }
         }
+        // The sum sets the planes that particles reach; what was read must not stay on the others.
+        std::fill(state_.grid.begin(), state_.grid.end(), T{});
         grids_.reduce(box, state_.ranges, 1, state_.grid);
         for (std::size_t i = 0; i < numbers; ++i) {
             field[i] = i % 4 == 3 ? T{} : state_.grid[numbers + i] / h;

@@ -10,7 +10,7 @@
 
 namespace mphygs {
 
-inline constexpr std::size_t tile_size = 32;  // particles that are worked on together
+inline constexpr std::size_t tile_size = 64;  // particles that are worked on together
 inline constexpr int tile_packs = static_cast<int>(tile_size) / lane_count;
 
 /// A box of grid nodes in the order of the grid's memory: slowest axis first, {px, py, pz, m} each.
@@ -49,7 +49,8 @@ struct MlsOrder {
     std::size_t size = 0;
     int lanes = 1;
     std::vector<std::int32_t> id;                // the caller's number, >= N: padding
-    std::vector<T> fixed;                        // (lanes, groups, Fixed, 16); mass with the attached one
+    std::vector<T> fixed;                        // (lanes, groups, Fixed, 16); mass with the attached one,
+                                                 // of held particles times hold_weight
     std::vector<T> own_mass;                     // (lanes, size) without it, where a volume effect has a body force
     std::vector<T> area;                         // (size,)
     std::vector<std::int32_t> hold;              // (size,)
@@ -92,6 +93,7 @@ MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::v
         }
     }
     hold.assign(size, -1);
+    const T weight = static_cast<T>(model.settings_.hold_weight);
     place_next.assign(size, -1);
     held.assign(size / lane_count, 0);
     exposed = placed = held;
@@ -126,6 +128,9 @@ MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::v
                     }
                 }
             }
+        }
+        for (std::size_t l = 0; hold[p] >= 0 && l < static_cast<std::size_t>(lanes); ++l) {
+            fixed[l * fixed_numbers * size + slot_of(fixed_mass, fixed_numbers, p)] *= weight;
         }
     }
 }

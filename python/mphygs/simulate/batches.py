@@ -1,0 +1,95 @@
+"""Parameters whose derivatives one run of the core computes together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.model.belief import Belief, Parameter
+from mphygs.model.registry import core_parameter_nulls
+from mphygs.simulate.body import Body
+from mphygs.simulate.fields import core_effects, places, primal
+
+Owned = tuple[Belief, Parameter]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """members: indices of the parameters; active: core effects; spots: (K, 3) places [m]; fields: values
+    that all of them share; directions: change of the fields for each."""
+
+    members: tuple[int, ...]
+    active: tuple[str, ...]
+    spots: np.ndarray
+    fields: dict[str, np.ndarray]
+    directions: list[dict[str, np.ndarray]]
+
+
+def batches_of(
+    belief: Belief,
+    body: Body,
+    base: dict[str, np.ndarray],
+    owned: Sequence[Owned],
+    changes: Sequence[dict[str, np.ndarray]],
+    *,
+    largest: int,
+    workers: int,
+) -> list[Batch]:
+    """Share parameters out to runs.
+
+    base: fields of the belief; owned: parameters, each with the belief that has it: this one plus effects at
+    their null; changes: of the fields by each; largest: parameters to a run.
+    """
+    size = min(largest, -(-len(owned) // max(1, min(workers, len(owned)))))
+    # Parameters that need the same effects share a run; others do not pay the rest of an effect's cost.
+    order = sorted(range(len(owned)), key=lambda i: core_effects(owned[i][0]))
+    own = set(core_effects(belief))
+    found = []
+    for k in range(0, len(order), size):
+        members = tuple(order[k : k + size])
+        owners = [owned[i][0] for i in members]
+        active = tuple(sorted(own.union(*(core_effects(owner) for owner in owners))))
+        spots, fields, directions = _merged(belief, body, base, owners, [changes[i] for i in members])
+        found.append(Batch(members, active, spots, fields, directions))
+    return found
+
+
+def _merged(
+    belief: Belief,
+    body: Body,
+    base: dict[str, np.ndarray],
+    owners: Sequence[Belief],
+    changes: Sequence[dict[str, np.ndarray]],
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[dict[str, np.ndarray]]]:
+    """Places, fields and directions of one batch whose owners add effects (at places of their own)."""
+    spots = places(belief)
+    merged = dict(base)
+    nulls = np.array(core_parameter_nulls())
+    own, masses, points = [spots], [base["place_mass"]], [base["place_effect"]]
+    slots = []
+    count = len(spots)
+    for owner in owners:
+        fields = primal(owner, body)
+        # An effect that only this owner has brings its constants (directions, shapes) along.
+        differs = (fields["effect"] != base["effect"]) & (base["effect"] == nulls)
+        merged["effect"] = np.where(differs, fields["effect"], merged["effect"])
+        extra = places(owner)[len(spots) :]
+        slots.append((count, len(extra)))
+        own.append(extra)
+        masses.append(fields["place_mass"][len(spots) :])
+        points.append(fields["place_effect"][len(spots) :])
+        count += len(extra)
+    merged["place_mass"], merged["place_effect"] = np.concatenate(masses), np.concatenate(points)
+    directions = []
+    for (begin, extra), change in zip(slots, changes, strict=True):
+        moved = dict(change)
+        for name in ("place_mass", "place_effect"):
+            if name in moved:
+                full = np.zeros_like(merged[name])
+                full[: len(spots)] = moved[name][: len(spots)]
+                full[begin : begin + extra] = moved[name][len(spots) :]
+                moved[name] = full
+        directions.append(moved)
+    return np.concatenate(own), merged, directions

@@ -1,0 +1,82 @@
+"""One way to run either transfer of the compiled core.
+
+A trajectory is a tuple of arrays with a first axis of output frames, the initial state included:
+(displacement, velocity) of the nodes for the total-Lagrangian transfer, (position, velocity, deformation) of
+the particles for MLS-MPM.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from mphygs import _core
+
+Arrays = Mapping[str, np.ndarray]
+Progress = Callable[[int], bool] | None
+
+_MLS = (_core.MlsMpmFloat32, _core.MlsMpmFloat64)
+NO_HOOK = "effects in Python do not run in MLS-MPM; expected the total-Lagrangian transfer"
+
+
+def is_mls(model: object) -> bool:
+    """Whether a compiled model is one of MLS-MPM."""
+    return isinstance(model, _MLS)
+
+
+def number_of(model: object) -> type:
+    """The floating-point type that a model computes in."""
+    single = isinstance(model, (_core.MlsMpmFloat32, _core.TotalLagrangianFloat32))
+    return np.float32 if single else np.float64
+
+
+def state_size(model: object) -> int:
+    """How many arrays a trajectory of the model has."""
+    return 3 if is_mls(model) else 2
+
+
+def _without_hook(hook: object | None) -> None:
+    if hook is not None:
+        raise ValueError(NO_HOOK)
+
+
+def simulate(
+    model: object, fields: Arrays, schedule: Mapping, progress: Progress = None, hook: object | None = None
+) -> tuple[np.ndarray, ...]:
+    """The trajectory. Raises SimulationError where it is unstable, ValueError for sizes that disagree."""
+    if is_mls(model):
+        _without_hook(hook)
+        return tuple(model.simulate(fields, schedule, progress))
+    return tuple(model.simulate(fields, schedule, progress, hook))
+
+
+def tangent(
+    model: object,
+    fields: Arrays,
+    directions: Sequence[Arrays],
+    schedule: Mapping,
+    progress: Progress = None,
+    hook: object | None = None,
+) -> list[tuple[np.ndarray, ...]]:
+    """The trajectory, and its derivative in each direction."""
+    if is_mls(model):
+        _without_hook(hook)
+        return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress)]
+    return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress, hook)]
+
+
+def adjoint(
+    model: object,
+    fields: Arrays,
+    schedule: Mapping,
+    bars: Sequence[np.ndarray | None],
+    hook: object | None = None,
+) -> dict[str, np.ndarray]:
+    """Gradient by every field of a loss whose derivatives by the trajectory are given, None for none."""
+    if is_mls(model):
+        _without_hook(hook)
+        return model.adjoint(fields, schedule, tuple(bars), None)[0]
+    empty = np.zeros(0, number_of(model))
+    displacement, velocity = (empty if bar is None else bar for bar in bars)
+    return model.adjoint(fields, schedule, displacement, velocity, None, hook)[0]

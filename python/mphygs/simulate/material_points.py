@@ -1,0 +1,183 @@
+"""The MLS-MPM transfer behind a prediction: particles carry the markers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mphygs import _core
+from mphygs.capture.holds import Load
+from mphygs.model.belief import Belief, Parameter
+from mphygs.simulate import core_runs
+from mphygs.simulate.body import LANES, Attachment, Body
+from mphygs.simulate.carried import Carriers
+from mphygs.simulate.core_runs import Arrays, Progress
+from mphygs.simulate.particle_body import ParticleBody
+from mphygs.simulate.transfer import Start, Transfer
+
+# Particles that carry one marker together: about those within 0.85 of a spacing.
+NEIGHBOURS = 20
+# The clamp gives way, and brakes, in proportion to relaxation * substep / weight. With these it does neither
+# to speak of; with 10 and 100 the modulus that a bar seems to have changed by 7 to 10 % with half the
+# substep, and its swing lost energy twice as fast.
+HOLD_RELAXATION, HOLD_WEIGHT = 1.0, 1000.0
+
+
+class MaterialPoints(Transfer):
+    """State on particles, which hand it to a grid and take it back in every substep."""
+
+    batch = 4
+    body: ParticleBody
+
+    @property
+    def grid_body(self) -> Body:
+        return self.body.grid
+
+    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
+        kind = _core.MlsMpmFloat32 if self.settings.number == np.float32 else _core.MlsMpmFloat64
+        points = self.body.geometry["points"]
+        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+        geometry = dict(self.body.geometry)
+        if len(spots):
+            geometry |= {"places": spots, "place_particle": self.body.nearest_free(spots).astype(np.int32)}
+        settings = {
+            "active": list(active),
+            "law": law,
+            "threads": 1,
+            "memory_budget": self.settings.memory_budget,
+            "displacement_limit": 100.0 * extent + 100.0,
+            "hold_relaxation": HOLD_RELAXATION,
+            "hold_weight": HOLD_WEIGHT,
+        }
+        return kind(geometry, settings)
+
+    def largest_rates(self, model: object, fields: Arrays, hook: object | None) -> tuple[float, float]:
+        if hook is not None:
+            raise ValueError(core_runs.NO_HOOK)
+        return tuple(model.largest_rates(fields))
+
+    def carriers(self, attachment: Attachment) -> Carriers:
+        free = attachment.hold < 0
+        return Carriers.of(attachment, free, self._weights(attachment.anchor[free], attachment.part[free]))
+
+    def _weights(self, at: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Weights of particles at points (M, 3) of given parts, see `moving_least_squares`.
+
+        A part's own particles carry its markers, held ones too: the grid may bind it to another part.
+        """
+        points, own = self.body.geometry["points"], self.body.geometry["part"]
+        count = min(NEIGHBOURS, len(points))
+        index = np.zeros((len(at), count), np.int64)
+        for number in np.unique(part):
+            mine, among = part == number, np.flatnonzero(own == number)
+            if len(among) < count:
+                among = np.arange(len(points))
+            near = cKDTree(points[among]).query(at[mine], k=np.arange(1, count + 1))[1]
+            index[mine] = among[near]
+        return index, *moving_least_squares(points[index], at)
+
+    def places_at_rest(self) -> np.ndarray:
+        return self.body.geometry["points"]
+
+    def load_share(self, load: Load) -> np.ndarray:
+        inside, share = self.body.inside(load.box)
+        out = np.zeros(len(inside))
+        out[inside] = share
+        return out
+
+    @cached_property
+    def _source(self) -> np.ndarray:
+        """(N,) free particle whose rest state each particle has.
+
+        Held ones take it from the nearest free one: the stress goes on behind the face of the clamp. Without
+        stress there the grid nodes that both share would be pushed out of balance.
+        """
+        points, free = self.body.geometry["points"], LANES * self.body.free_block_count
+        return np.concatenate([np.arange(free), self.body.nearest_free(points[free:])])
+
+    def _from_grid(self, solution: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Deformation (N, 3, 3) and volume (B, 8) [m^3] of the particles in a rest state of the grid."""
+        f = solution["deformation0"].reshape(-1, 3, 3, LANES)
+        deformation = np.moveaxis(f, -1, 1).reshape(-1, 3, 3)[self._source]
+        volumes = self.body.quadrature.volumes
+        ratio = solution["volume_ratio"].ravel()[self._source].reshape(volumes.shape)
+        return {"deformation0": deformation, "stress_volume": volumes * ratio}
+
+    def prestressed(self, belief: Belief) -> dict[str, np.ndarray]:
+        return self._from_grid(self.rest_shape.solve(belief))
+
+    def prestress_slopes(
+        self, owner: Belief, parameters: Sequence[Parameter]
+    ) -> list[dict[str, np.ndarray]]:
+        return [self._from_grid(slope) for slope in self.rest_shape.tangent(owner, parameters)]
+
+    def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
+        deformation = start.gradient + np.eye(3)
+        if "deformation0" in fields:
+            deformation = deformation @ fields["deformation0"]
+        return fields | {
+            "displacement0": start.displacement,
+            "velocity0": start.velocity,
+            "deformation0": deformation,
+        }
+
+    def begun_change(self, change: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
+        if "deformation0" not in change:
+            return change
+        return change | {"deformation0": (start.gradient + np.eye(3)) @ change["deformation0"]}
+
+    def simulate(
+        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None
+    ) -> tuple[np.ndarray, ...]:
+        return self._displaced(core_runs.simulate(model, fields, schedule, progress, hook))
+
+    def _displaced(self, trajectory: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        position, velocity, deformation = trajectory
+        return position - self.body.geometry["points"], velocity, deformation
+
+    def tangent(
+        self,
+        model: object,
+        fields: Arrays,
+        directions: Sequence[Arrays],
+        schedule: dict,
+        progress: Progress,
+        hook: object | None,
+    ) -> list[tuple[np.ndarray, ...]]:
+        value, *slopes = core_runs.tangent(model, fields, directions, schedule, progress, hook)
+        return [self._displaced(value), *slopes]
+
+    def adjoint(
+        self,
+        model: object,
+        fields: Arrays,
+        schedule: dict,
+        bars: tuple[np.ndarray, np.ndarray],
+        hook: object | None,
+    ) -> dict[str, np.ndarray]:
+        return core_runs.adjoint(model, fields, schedule, (*bars, None), hook)
+
+    def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
+        free = LANES * self.body.free_block_count
+        return np.asarray(states[2], float)[:, :free].reshape(len(states[2]), -1, LANES, 3, 3)
+
+
+def moving_least_squares(points: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights that give a field and its gradient at a point from its values at points around it.
+
+    points: (M, K, 3) [m], the neighbours of each of at: (M, 3) [m] -> value (M, K), gradient (M, K, 3) [1/m].
+    Exact for linear fields: the value and slope of the plane that fits best, nearer points counting
+    more (Lancaster and Salkauskas, "Surfaces generated by moving least squares methods", 1981). Where all
+    points lie in one plane the slope across it is zero.
+    """
+    apart = points - at[:, None]
+    distance = np.linalg.norm(apart, axis=2)
+    reach = 1.05 * distance.max(axis=1, initial=0.0, keepdims=True)
+    weight = (1.0 - (distance / reach) ** 2) ** 2
+    basis = np.concatenate([np.ones((*distance.shape, 1)), apart / reach[..., None]], axis=2)
+    moments = np.einsum("mk,mka,mkb->mab", weight, basis, basis)
+    shape = np.einsum("mab,mkb,mk->mka", np.linalg.pinv(moments, rcond=1e-10, hermitian=True), basis, weight)
+    return shape[..., 0], shape[..., 1:] / reach[..., None]

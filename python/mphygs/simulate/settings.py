@@ -1,0 +1,54 @@
+"""How a simulation is run, and what each transfer cannot do."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mphygs.model.registry import effects
+
+TOTAL_LAGRANGIAN, MLS = "total-lagrangian", "mls"
+TRANSFERS = (TOTAL_LAGRANGIAN, MLS)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a simulation is run. spacing: [m]; safety: share of the stable substep that is used;
+    workers: runs side by side; dtype: "float32" or "float64"; memory_budget: of the adjoint [byte];
+    transfer: how particles and grid exchange momentum, "total-lagrangian" or "mls"."""
+
+    spacing: float
+    safety: float = 0.7
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    dtype: str = "float32"
+    memory_budget: int = 2 << 30
+    transfer: str = TOTAL_LAGRANGIAN
+
+    @property
+    def number(self) -> type:
+        if self.dtype not in ("float32", "float64"):
+            raise ValueError(f"dtype '{self.dtype}': expected float32 or float64")
+        return np.float32 if self.dtype == "float32" else np.float64
+
+
+def impossible_effects(transfer: str) -> dict[str, str]:
+    """Effects that a transfer cannot have, each with the reason."""
+    if transfer != MLS:
+        return {}
+    refused = {"hold_compliance": "it imposes the hold's velocity and knows no reaction"}
+    refused |= {name: "it has no effects in Python" for name, e in effects().items() if e.site == "user"}
+    return refused
+
+
+def check_effects(transfer: str, names: Iterable[str]) -> None:
+    """Raises ValueError, one line, for an effect that the transfer cannot have."""
+    refused = impossible_effects(transfer)
+    for name in names:
+        if name in refused:
+            raise ValueError(
+                f"effect '{name}': not with --transfer {transfer}, for {refused[name]}; "
+                f"expected --transfer {TOTAL_LAGRANGIAN}"
+            )

@@ -1,0 +1,85 @@
+"""Frames and substeps of one run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.capture.record import Sequence as Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Output frames and substeps of a run.
+
+    frames: (T,) frames to show; moving: those after the initial state, computed one by one; times: of these
+    [s]; resting: frames that show the object at rest, before the run's own states; skipped: states of the
+    run before the first one that a frame shows.
+    """
+
+    frames: np.ndarray
+    moving: np.ndarray
+    schedule: dict
+    times: np.ndarray
+    resting: int
+    skipped: int
+
+    @property
+    def shown(self) -> slice:
+        """Where the run's states stand among the frames."""
+        return slice(self.resting, len(self.frames))
+
+    @property
+    def substeps(self) -> int:
+        return int(self.schedule["steps"].sum())
+
+    @property
+    def longest(self) -> float:
+        """The longest substep [s]."""
+        return float(np.max(self.schedule["dt"], initial=0.0))
+
+    def substep_times(self) -> np.ndarray:
+        """(n + 1,) times of all substep boundaries [s]."""
+        s = self.schedule
+        return s["start"] + np.r_[0.0, np.cumsum(np.repeat(s["dt"], s["steps"]))]
+
+
+def timeline_of(
+    recording: Recording,
+    last: int,
+    substep: float,
+    *,
+    release_shift: float = 0.0,
+    first: int | None = None,
+) -> Timeline:
+    """Frames 0..last-1 and the substeps between them; motion starts at the release.
+
+    substep: longest [s]; first: a frame in mid-motion to begin at instead, whose state is given.
+    """
+    fps, release = recording.fps, recording.release
+    if first is not None:
+        frames = np.arange(first, last)
+        moving, start, resting, skipped = frames[1:], first / fps, 0, 0
+    else:
+        frames = np.arange(last)
+        start = 0.0 if release is None else max(release / fps + release_shift, 0.0)
+        moving = frames[1:] if release is None else frames[frames / fps > start + 1e-9]
+        # Before a release all rests; the run's own first state is then shown by no frame.
+        resting, skipped = (0, 0) if release is None else (last - len(moving), 1)
+    times = moving / fps
+    spans = np.diff(np.r_[start, times])
+    steps = np.maximum(np.ceil(spans / substep - 1e-9), 1).astype(np.int32)
+    schedule = {"steps": steps, "dt": spans / np.maximum(steps, 1), "start": start}
+    return Timeline(frames, moving, schedule, times, resting, skipped)
+
+
+def poses_of(recording: Recording, timeline: Timeline) -> np.ndarray:
+    """(H, n + 1, 12) rigid pose of every hold at every substep: rotation by rows, then position [m]."""
+    times = timeline.substep_times()
+    out = np.empty((len(recording.held), len(times), 12))
+    for h, hold in enumerate(recording.held):
+        rotation, position = hold.poses(times, recording.fps)
+        out[h, :, :9] = rotation.reshape(-1, 9)
+        out[h, :, 9:] = position
+    return out

@@ -1,0 +1,150 @@
+"""The total-Lagrangian transfer behind a prediction: nodes carry the markers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mphygs.capture.holds import Load
+from mphygs.model.belief import Belief, Parameter
+from mphygs.simulate import core_runs
+from mphygs.simulate.body import Attachment, Body, core_model, with_places
+from mphygs.simulate.carried import Carriers
+from mphygs.simulate.core_runs import Arrays, Progress
+from mphygs.simulate.transfer import Carried, Start, Transfer
+
+_NOWHERE = np.zeros((0, 3))
+
+
+class TotalLagrangian(Transfer):
+    """State on the nodes of a grid that is fixed to the rest shape."""
+
+    batch = 8
+
+    @property
+    def grid_body(self) -> Body:
+        return self.body
+
+    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
+        return core_model(
+            with_places(self.body, spots),
+            active=active,
+            dtype=self.settings.number,
+            law=law,
+            threads=1,
+            memory_budget=self.settings.memory_budget,
+        )
+
+    def _plain(self) -> object:
+        """A model that knows the nodes and their weights."""
+        return self.model((), _NOWHERE, "neo-hookean")
+
+    def largest_rates(self, model: object, fields: Arrays, hook: object | None) -> tuple[float, float]:
+        return tuple(model.largest_rates(fields, hook=hook))
+
+    def carriers(self, attachment: Attachment) -> Carriers:
+        free = attachment.hold < 0
+        weights = self._plain().weights(attachment.anchor[free], attachment.cell[free])
+        return Carriers.of(attachment, free, weights)
+
+    def places_at_rest(self) -> np.ndarray:
+        return self._plain().node_positions
+
+    def load_share(self, load: Load) -> np.ndarray:
+        q, model = self.body.quadrature, self._plain()
+        inside, share = self.body.inside(load.box)
+        node, value, _ = model.weights(q.points.reshape(-1, 3)[inside], np.repeat(q.cell, 8, axis=0)[inside])
+        per_node = np.zeros(model.node_count)
+        np.add.at(per_node, node.ravel(), (value * share[:, None]).ravel())
+        return per_node
+
+    def prestressed(self, belief: Belief) -> dict[str, np.ndarray]:
+        solution = self.rest_shape.solve(belief)
+        volumes = self.body.quadrature.volumes
+        return {
+            "deformation0": solution["deformation0"],
+            "stress_volume": volumes * solution["volume_ratio"].reshape(-1, 8),
+        }
+
+    def prestress_slopes(
+        self, owner: Belief, parameters: Sequence[Parameter]
+    ) -> list[dict[str, np.ndarray]]:
+        volumes = self.body.quadrature.volumes
+        return [
+            {
+                "deformation0": slope["deformation0"],
+                "stress_volume": volumes * slope["volume_ratio"].reshape(-1, 8),
+            }
+            for slope in self.rest_shape.tangent(owner, parameters)
+        ]
+
+    def admissible(self, start: Start, carried: Carried) -> Start:
+        """By the least change of the nodes that puts the trace on every held face where its hold is."""
+        g = self.body.geometry
+        if not len(g["row_hold"]):
+            return start
+        grid = np.rint((self.places_at_rest() - g["origin"]) / g["spacing"]).astype(int)
+        number = {tuple(index): k for k, index in enumerate(grid)}
+        rows = np.zeros((len(g["row_hold"]), len(grid)))
+        owner = np.repeat(np.arange(len(rows)), np.diff(g["row_begin"]))
+        for row, index, weight in zip(owner, g["row_node"], g["row_weight"], strict=True):
+            rows[row, number[tuple(index)]] += weight
+        wanted, speed = np.zeros((2, len(rows), 3))
+        for h in range(g["hold_count"]):
+            mine = g["row_hold"] == h
+            target = g["row_target"][mine]
+            now, speed[mine] = carried(h, target)
+            wanted[mine] = now - target
+        used = np.flatnonzero(rows.any(0))
+        solve = np.linalg.pinv(rows[:, used])
+        displacement, velocity = start.displacement.copy(), start.velocity.copy()
+        displacement[used] += solve @ (wanted - rows @ displacement)
+        velocity[used] += solve @ (speed - rows @ velocity)
+        return replace(start, displacement=displacement, velocity=velocity)
+
+    def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
+        return fields | {"displacement0": start.displacement, "velocity0": start.velocity}
+
+    def begun_change(self, change: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
+        return change
+
+    def simulate(
+        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None
+    ) -> tuple[np.ndarray, ...]:
+        return core_runs.simulate(model, fields, schedule, progress, hook)
+
+    def tangent(
+        self,
+        model: object,
+        fields: Arrays,
+        directions: Sequence[Arrays],
+        schedule: dict,
+        progress: Progress,
+        hook: object | None,
+    ) -> list[tuple[np.ndarray, ...]]:
+        return core_runs.tangent(model, fields, directions, schedule, progress, hook)
+
+    def adjoint(
+        self,
+        model: object,
+        fields: Arrays,
+        schedule: dict,
+        bars: tuple[np.ndarray, np.ndarray],
+        hook: object | None,
+    ) -> dict[str, np.ndarray]:
+        return core_runs.adjoint(model, fields, schedule, bars, hook)
+
+    def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
+        q = self.body.quadrature
+        node, _, gradient = self._plain().weights(q.points.reshape(-1, 3), np.repeat(q.cell, 8, axis=0))
+        start = np.broadcast_to(np.eye(3), (len(node), 3, 3))
+        if belief.prestress == "equilibrium":
+            start = self.prestressed(belief)["deformation0"].reshape(-1, 3, 3, 8)
+            start = np.moveaxis(start, -1, 1).reshape(-1, 3, 3)
+        out = [
+            (np.eye(3) + np.einsum("pkc,pkj->pcj", u[node], gradient)) @ start
+            for u in np.asarray(states[0], float)
+        ]
+        return np.array(out).reshape(len(out), -1, 8, 3, 3)

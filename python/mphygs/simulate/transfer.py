@@ -1,0 +1,136 @@
+"""What a prediction asks of a transfer: models, fields of its own, runs, and what carries the markers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.capture.holds import Load
+from mphygs.model.belief import Belief, Parameter
+from mphygs.simulate.body import Attachment, Body
+from mphygs.simulate.carried import Carriers
+from mphygs.simulate.core_runs import Arrays, Progress
+from mphygs.simulate.prestress import RestShape
+from mphygs.simulate.settings import Settings
+
+# Places (K, 3) [m] and velocities [m/s] of points (K, 3) that hold number h carries.
+Carried = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The state of the carriers at a frame in mid-motion. displacement: (N, 3) [m]; velocity: (N, 3) [m/s];
+    gradient: (N, 3, 3), of the displacement by the place at rest."""
+
+    frame: int
+    displacement: np.ndarray
+    velocity: np.ndarray
+    gradient: np.ndarray
+
+
+class Transfer(ABC):
+    """One object under one set of holds, discretised for one of the core's transfers.
+
+    batch: directions that the core carries at once in one run. Its carriers are what the core's trajectory
+    is given at: N nodes or particles.
+    """
+
+    batch: int
+
+    def __init__(self, body: Body, settings: Settings) -> None:
+        self.body, self.settings = body, settings
+        self._models: dict = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop what the rest shape remembers of its last solution."""
+        self.rest_shape = RestShape(self.grid_body)
+
+    def model(self, active: Sequence[str], spots: np.ndarray, law: str) -> object:
+        """The compiled model with core effects `active` and effects at `spots` (K, 3) [m], kept."""
+        key = (tuple(sorted(set(active))), spots.tobytes(), law)
+        if key not in self._models:
+            self._models[key] = self._new_model(key[0], spots, law)
+        return self._models[key]
+
+    @property
+    @abstractmethod
+    def grid_body(self) -> Body:
+        """The total-Lagrangian discretisation, on which rest shapes are solved for."""
+
+    @abstractmethod
+    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object: ...
+
+    @abstractmethod
+    def largest_rates(self, model: object, fields: Arrays, hook: object | None) -> tuple[float, float]:
+        """Largest squared frequency [1/s^2] and damping rate [1/s] of the model linearised at rest."""
+
+    @abstractmethod
+    def carriers(self, attachment: Attachment) -> Carriers:
+        """What carries the markers."""
+
+    @abstractmethod
+    def places_at_rest(self) -> np.ndarray:
+        """(N, 3) of the carriers [m]."""
+
+    @abstractmethod
+    def load_share(self, load: Load) -> np.ndarray:
+        """(N,) share of a known load on every carrier."""
+
+    @abstractmethod
+    def prestressed(self, belief: Belief) -> dict[str, np.ndarray]:
+        """deformation0 and stress_volume of the stress-free state, by the belief's equilibrium."""
+
+    @abstractmethod
+    def prestress_slopes(
+        self, owner: Belief, parameters: Sequence[Parameter]
+    ) -> list[dict[str, np.ndarray]]:
+        """Derivatives of `prestressed` by the coordinates of a belief's parameters."""
+
+    def admissible(self, start: Start, carried: Carried) -> Start:
+        """The state nearest to a given one that agrees with the holds. carried: see Carried."""
+        return start
+
+    @abstractmethod
+    def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
+        """Fields of a run from the rest shape, turned into those of one that begins in mid-motion."""
+
+    @abstractmethod
+    def begun_change(self, change: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
+        """The same for a derivative of the fields; the given state does not change."""
+
+    @abstractmethod
+    def simulate(
+        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None
+    ) -> tuple[np.ndarray, ...]:
+        """Displacement [m] and velocity [m/s] of the carriers, (S, N, 3), and what else the transfer has."""
+
+    @abstractmethod
+    def tangent(
+        self,
+        model: object,
+        fields: Arrays,
+        directions: Sequence[Arrays],
+        schedule: dict,
+        progress: Progress,
+        hook: object | None,
+    ) -> list[tuple[np.ndarray, ...]]:
+        """The states of `simulate`, and their derivative in each direction."""
+
+    @abstractmethod
+    def adjoint(
+        self,
+        model: object,
+        fields: Arrays,
+        schedule: dict,
+        bars: tuple[np.ndarray, np.ndarray],
+        hook: object | None,
+    ) -> dict[str, np.ndarray]:
+        """Bars of all fields for those of the carriers' displacement and velocity, (S, N, 3)."""
+
+    @abstractmethod
+    def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
+        """(S, B, 8, 3, 3) deformation from the stress-free state at the free quadrature points."""
