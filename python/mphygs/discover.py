@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import tyro
 
 from mphygs.capture.format import load_capture
-from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
+from mphygs.command import Answer, CommonOptions, Console, OptionError, duration, names, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.__main__ import diagnosis_document, known_effects
 from mphygs.extend.__main__ import DOCUMENT
@@ -114,7 +114,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         seed=state.seed,
         names=candidates,
         start=steps,
-        report=console.say,
+        report=lambda text: console.say(f"[{duration(console.seconds)}] {text}"),
         on_step=on_step,
     )
     for k, step in enumerate(found.steps):  # a step may have moved to a finer grid since it was told

@@ -28,10 +28,12 @@ CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 RIVAL, ALIKE_EXCESS = 2.0, 0.1
 LARGEST_MODEL = 4
 # So many effects are begun to be refitted; so many of them to the end.
-BEGUN, FINISHED = 9, 3
+BEGUN, FINISHED = 7, 3
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
+# Below this misfit [sigma] an effect is tried only where it is predicted to take this share of the excess.
+LINEAR, WORTH_A_REFIT = 2.0, 0.15
 # Refits over a window within this factor of the best chi^2 are continued on all frames.
 ALIKE = 1.35
 # Diagnosis looks at the first frames over which the misfit is between these [sigma].
@@ -139,9 +141,13 @@ def promising(ranking: Ranking) -> list[Entry]:
     """Entries worth a refit: significant, the best first; physics and faults each get a hearing.
 
     Where the misfit is large the linear prediction is a poor judge: dissipative effects, say, are told apart
-    by refits, not by scores. So many are begun and few are finished.
+    by refits, not by scores. So many are begun and few are finished. Where it is small the prediction holds,
+    and what would leave nearly all of the misfit is not tried.
     """
     good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
+    if ranking.chi_square < LINEAR**2 * ranking.rows:
+        beyond = ranking.chi_square - ranking.rows
+        good = [e for e in good if e.statistic > WORTH_A_REFIT * beyond]
     if not good:
         return []
     chosen = [e for e in good if e.statistic > WORTH_A_TRY * good[0].statistic][:BEGUN]
@@ -181,10 +187,11 @@ def refits_of(
                 continue
             begun.append((solution.evaluation.chi_square, entry, solution))
         begun.sort(key=lambda item: item[0])
-    finished = []
+    finished: list[Refit] = []
     for number, (chi_square, entry, solution) in enumerate(begun[: FINISHED + 1]):
         if number and chi_square > 3.0 * begun[0][0] or number == FINISHED and chi_square > 1.1 * begun[0][0]:
             continue
+        best = min((r.solution.evaluation.chi_square for r in finished), default=np.inf)
         result = finish_refit(
             experiment,
             current.solution,
@@ -193,6 +200,7 @@ def refits_of(
             solution,
             spacing,
             generator=generator,
+            hopeless=ALIKE * best,
             report=say,
         )
         if result is not None:

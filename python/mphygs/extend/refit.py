@@ -139,9 +139,14 @@ def finish_refit(
     *,
     generator: np.random.Generator,
     iterations: int = 10,
+    hopeless: float = math.inf,
     report: Callable[[str], None] | None = None,
 ) -> Refit | None:
-    """Bring a refit that was begun to its minimum and judge it. None where its motion cannot be simulated."""
+    """Bring a refit that was begun to its minimum and judge it.
+
+    hopeless: chi^2 above which it is given up after three iterations. None where it is, or where its motion
+    cannot be simulated.
+    """
     problem = experiment.problem(spacing)
 
     def tell(iteration: int, evaluation: object, _belief: Belief) -> None:
@@ -150,9 +155,13 @@ def finish_refit(
             report(f"with {entry.effect}: iteration {iteration}, {rms:.3f} sigma")
 
     try:
-        solution = minimise(
-            problem, begun.belief, iterations=iterations, relative_tolerance=3e-4, report=tell
-        )
+        solution = minimise(problem, begun.belief, iterations=3, relative_tolerance=3e-4, report=tell)
+        if solution.evaluation.chi_square > hopeless:
+            return None
+        if not solution.converged:
+            solution = minimise(
+                problem, solution.belief, iterations=iterations - 3, relative_tolerance=3e-4, report=tell
+            )
         compared = experiment.compare(solution.belief, spacing)
     except SimulationError:
         return None
