@@ -279,6 +279,9 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
     volume_ = volume;
     load_ = load;
     w_ = start.empty() ? std::vector<double>(nodes, 0.0) : start;
+    if (start.empty()) {
+        unknown_.setZero();  // the hold's forces too: what was solved before must not show
+    }
     Solution s;
     Eigen::VectorXd residual;
     for (s.iterations = 1; s.iterations <= iterations; ++s.iterations) {

@@ -114,6 +114,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         seed=state.seed,
         names=candidates,
         start=steps,
+        screening=options.spacing is None and options.capture is not None,
         report=lambda text: console.say(f"[{duration(console.seconds)}] {text}"),
         on_step=on_step,
     )

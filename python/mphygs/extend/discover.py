@@ -241,12 +241,14 @@ def settled(
     best: Step,
     rivals: Sequence[Step],
     report: Callable[[str], None] | None,
+    *,
+    screening: bool,
 ) -> Step:
     """The better of the best step and its rivals on the grid that the best one asks for, with its ties.
 
     What reaches the floor as well cannot be told from it.
     """
-    best = refined(experiment, [*steps, best], report)
+    best = refined(experiment, [*steps, best], report, screening=screening)
     alike = []
     for rival in rivals:
         if rival.spacing != best.spacing:
@@ -275,13 +277,15 @@ def discover(
     seed: int = 0,
     names: Sequence[str] | None = None,
     start: Sequence[Step] = (),
+    screening: bool = False,
     report: Callable[[str], None] | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> Discovery:
     """Find what is missing from a model of a capture.
 
     belief: the model to start from, not yet fitted; names: effects that may be added (None: all);
-    start: steps that are done already, the first model's fit the first of them.
+    start: steps that are done already, the first model's fit the first of them; screening: the spacing is
+    only for trying many models, and models near the floor are asked again on the default grid.
     Raises SimulationError when not even the first model can be simulated.
     """
     say = report or (lambda _text: None)
@@ -301,7 +305,7 @@ def discover(
         steps.append(replace(step, added=("marker_outliers",)))
         if on_step:
             on_step(steps[-1])
-    steps[-1] = refined(experiment, steps, report)
+    steps[-1] = refined(experiment, steps, report, screening=screening)
     while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         current = steps[-1]
         spacing = current.spacing
@@ -341,9 +345,8 @@ def discover(
             break
         best, rivals = choose(refits)
         step = step_of(best, spacing, finished)
-        steps.append(
-            settled(experiment, steps, step, [step_of(r, spacing, ()) for r in rivals], report)
-        )
+        others = [step_of(r, spacing, ()) for r in rivals]
+        steps.append(settled(experiment, steps, step, others, report, screening=screening))
         if on_step:
             on_step(steps[-1])
     return _conclude(steps, faults, rankings, warnings)

@@ -74,13 +74,22 @@ def with_budget(
     return replace(step, compared=compared, assessment=assessment)
 
 
-def refined(experiment: Experiment, steps: Sequence[Step], report: Callable[[str], None] | None) -> Step:
-    """The last step on the grid that its misfit asks for, with its error budget where that decides."""
+def refined(
+    experiment: Experiment,
+    steps: Sequence[Step],
+    report: Callable[[str], None] | None,
+    *,
+    screening: bool,
+) -> Step:
+    """The last step on the grid that its misfit asks for, with its error budget where that decides.
+
+    screening: whether the grid so far was only for trying many models, and another may be chosen.
+    """
     current = steps[-1]
-    spacing = None if current.explained else next_spacing(experiment, steps)
+    spacing = next_spacing(experiment, steps) if screening and not current.explained else None
     if spacing is not None:
         current = on_grid(experiment, current, spacing, report) or current
-    fine = current.spacing < 1.1 * default_spacing(experiment.capture)
+    fine = not screening or current.spacing < 1.1 * default_spacing(experiment.capture)
     if fine and not current.explained and current.assessment.worst < LARGEST_GRID_ERROR:
         current = with_budget(experiment, current, report)
     return current

@@ -13,8 +13,8 @@ from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, direction, places, primal
 
-# Shares of the load on the way to it, where Newton's method does not get there at once.
-LOAD_STAGES = (0.35, 0.7, 1.0)
+# Shares of the load on the way to it, where Newton's method does not get there at once: few, then many.
+LOAD_STAGES = ((0.35, 0.7, 1.0), tuple(np.arange(1, 13) / 12.0))
 
 
 class RestShape:
@@ -83,11 +83,17 @@ class RestShape:
 
     def _ramped(self, fields: dict[str, np.ndarray], load: np.ndarray) -> dict[str, np.ndarray]:
         """From no load to the whole of it in stages, for shapes that sag far. Raises SimulationError."""
-        start = np.zeros(0)
-        for share in LOAD_STAGES:
-            solution = self._newton(fields, share * load, start)
-            start = solution["map"]
-        return solution
+        for stages in LOAD_STAGES:
+            start = np.zeros(0)
+            try:
+                for share in stages:
+                    solution = self._newton(fields, share * load, start)
+                    start = solution["map"]
+            except SimulationError as error:
+                failure = error
+                continue
+            return solution
+        raise failure
 
     def tangent(self, belief: Belief, parameters: Sequence[Parameter]) -> list[dict[str, np.ndarray]]:
         """Derivatives of deformation0 and volume_ratio by the coordinates of parameters."""
