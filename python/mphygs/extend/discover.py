@@ -290,21 +290,32 @@ def discover(
     """
     say = report or (lambda _text: None)
     steps = list(start) or [first_fit(experiment, belief, spacing, report=report)]
-    faults: list[str] = []
     rankings: list[Ranking] = []
     warnings: list[str] = []
     if on_step and not start:
         on_step(steps[0])
-    bad_tracks = len(steps) == 1 and not steps[0].assessment.adequate
-    left_out = mask_outliers(experiment, steps[0].compared) if bad_tracks else 0
-    if left_out and (names is None or "marker_outliers" in names):
+    tracked = False
+
+    def without_bad_tracks() -> None:
+        """One more step where tracks are bad; looked for anew as long as none was found."""
+        nonlocal tracked
+        current = steps[-1]
+        allowed = names is None or "marker_outliers" in names
+        known = any("marker_outliers" in step.added for step in steps)
+        if tracked or known or not allowed or current.assessment.adequate:
+            return
+        left_out = mask_outliers(experiment, current.compared)
+        if not left_out:
+            return
+        tracked = True
         say(f"{left_out} measurements do not move with their neighbours: left out as marker_outliers")
-        faults.append("marker_outliers")
         experiment.problems.clear()
-        step = first_fit(experiment, steps[0].belief, spacing, report=report, warm=True)
-        steps.append(replace(step, added=("marker_outliers",)))
+        after = first_fit(experiment, current.belief, current.spacing, report=report, warm=True)
+        steps.append(replace(after, added=("marker_outliers",)))
         if on_step:
             on_step(steps[-1])
+
+    without_bad_tracks()
     steps[-1] = refined(experiment, steps, report, screening=screening)
     while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         current = steps[-1]
@@ -349,12 +360,11 @@ def discover(
         steps.append(settled(experiment, steps, step, others, report, screening=screening))
         if on_step:
             on_step(steps[-1])
-    return _conclude(steps, faults, rankings, warnings)
+        without_bad_tracks()
+    return _conclude(steps, rankings, warnings)
 
 
-def _conclude(
-    steps: list[Step], faults: list[str], rankings: list[Ranking], warnings: list[str]
-) -> Discovery:
+def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -> Discovery:
     last = steps[-1]
     added = [name for step in steps for name in step.added]
     if not last.explained:
