@@ -102,12 +102,20 @@ class Channels:
     def of_forces(self, motion: ForcedMotion) -> np.ndarray:
         """(N', H C 3) whitened channels by the values of the force."""
         basis = self.seen.basis
-        spans, moving = motion.spans, motion.timeline.moving
+        moving = motion.timeline.moving
         cells = np.einsum("ncj,nk->jkc", self.modes.shape, basis.spread)
         forces = np.einsum("fh,jkc->fjhkc", basis.hats[moving], cells)
-        amplitude = self.modes.response(forces.reshape(len(spans), len(self.mix[0]), -1), spans)
+        return self._shown(motion, forces.reshape(len(moving), len(self.mix), -1))
+
+    def of_node_forces(self, motion: ForcedMotion, forces: np.ndarray) -> np.ndarray:
+        """(N', K) whitened channels by forces (T, N, 3, K) [N]."""
+        moving = motion.timeline.moving
+        return self._shown(motion, np.einsum("ncj,tnck->tjk", self.modes.shape, forces[moving]))
+
+    def _shown(self, motion: ForcedMotion, modal: np.ndarray) -> np.ndarray:
+        amplitude = self.modes.response(modal, motion.spans)
         full = np.zeros((len(motion.timeline.frames), *amplitude.shape[1:]))
-        full[moving] = amplitude[1:]
+        full[motion.timeline.moving] = amplitude[1:]
         return self._whitened(np.einsum("ij,tjk->tik", self.mix, full))
 
     def of_markers(self, change: np.ndarray) -> np.ndarray:
