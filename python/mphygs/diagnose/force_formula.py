@@ -3,8 +3,8 @@
 Every feature stands there as the change of the markers that it makes; beside them stand the fitted
 parameters, which may give way. Terms are added one by one while each takes away a good share of the misfit;
 those that blocks of frames drawn again keep choosing stay (stability selection: Meinshausen and Buehlmann,
-2010) and are fitted once more, alone. Features whose changes are all but parallel are one term, named after the
-first.
+2010) and are fitted once more, alone. Features whose changes are all but parallel are one term, named after
+the one that explains most.
 """
 
 from __future__ import annotations
@@ -114,10 +114,10 @@ class Regression:
         return tuple(inside)
 
     def best(self, count: int) -> list[int]:
-        """The features that explain most, each alone beside the parameters."""
+        """The features that explain most, each alone beside the parameters, the best first."""
         gram, right, _, _ = self.weighted(np.ones(len(self.rows)))
         drops = _next_drops(gram, right, list(range(self.features, len(right))))[: self.features]
-        return sorted(int(k) for k in np.argsort(-drops)[:count])
+        return [int(k) for k in np.argsort(-drops)[:count]]
 
     def alike(self) -> np.ndarray:
         """(K, K) bool: features that cannot be told apart once the parameters have given way."""
@@ -173,6 +173,14 @@ def _next_drops(gram: np.ndarray, right: np.ndarray, used: list[int]) -> np.ndar
     return np.where(acts, left**2 / np.where(acts, information, 1.0), 0.0)
 
 
+def _spokesmen(alike: np.ndarray, order: Sequence[int]) -> np.ndarray:
+    """(K,) of every feature the one that speaks for it: the first in order of those alike."""
+    spokesman = np.full(len(alike), -1)
+    for k in order:
+        spokesman[alike[k] & (spokesman < 0)] = k
+    return spokesman
+
+
 def find_formula(
     regression: Regression,
     expressions: Sequence[str],
@@ -183,8 +191,7 @@ def find_formula(
     """The terms that explain the data and that blocks drawn again keep choosing."""
     blocks = len(regression.rows)
     alike = regression.alike()
-    # The first of those alike speaks for all of them.
-    spokesman = alike.argmax(1)
+    spokesman = _spokesmen(alike, regression.best(regression.features))
     full = list(dict.fromkeys(int(spokesman[k]) for k in regression.chosen(np.ones(blocks))))
     counts = np.zeros(regression.features)
     draws = [np.bincount(generator.integers(blocks, size=blocks), minlength=blocks) for _ in range(RESAMPLES)]
@@ -204,7 +211,7 @@ def find_formula(
     terms = [
         Term(
             k, expressions[k], units[k], float(c), float(s), float(frequency[k]),
-            tuple(expressions[j] for j in np.flatnonzero(alike[k]) if j != k),
+            tuple(expressions[j] for j in np.flatnonzero(spokesman == k) if j != k),
         )  # fmt: skip
         for k, c, s in zip(kept, coefficients, again.std(0), strict=True)
     ]

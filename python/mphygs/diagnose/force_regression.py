@@ -23,7 +23,7 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
 # Features whose tangents are computed exactly, the best by the natural modes; and so many the next times.
-FINALISTS, KEPT = 24, 14
+FINALISTS, KEPT = 16, 8
 BLOCK_FRAMES = 5
 # Times that the formula is put in place of the force, and steps of its refit.
 ROUNDS, STEPS = 2, 4
@@ -42,14 +42,22 @@ class Base:
         return sum(float(f.residual @ f.residual) for f in self.found.values())
 
 
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """A formula and the feature of each of its terms."""
+
+    formula: Formula
+    features: tuple[Feature, ...]
+
+
 def formula_of(
     problem: Problem,
     missing: MissingForce,
     *,
     generator: np.random.Generator,
     report: Callable[[str], None] | None = None,
-) -> tuple[Formula, list[Feature]]:
-    """A formula for a missing force, and the features that it was sought among (its terms' `index`)."""
+) -> Explained:
+    """A formula for a missing force, sought on the frames of a problem."""
     say = report or (lambda _text: None)
     motions = {name: PointMotion.of(found) for name, found in missing.found.items()}
     first = next(iter(missing.found))
@@ -72,12 +80,13 @@ def formula_of(
         if moved is None:
             break
         base = moved
-        kept = regression.best(KEPT)
+        kept = sorted(regression.best(KEPT))
         features, own = [features[k] for k in kept], {n: o[kept] for n, o in own.items()}
         rows = sum(len(f.residual) for f in base.found.values())
         say(f"formula, round {number + 1}: {np.sqrt(base.chi_square / rows):.3f} sigma in place of the force")
     expressions, units = [f.expression for f in features], [f.unit for f in features]
-    return find_formula(_regression(base, own), expressions, units, generator=generator), features
+    formula = find_formula(_regression(base, own), expressions, units, generator=generator)
+    return Explained(formula, tuple(features[t.index] for t in formula.terms))
 
 
 def _regression(base: Base, own: Mapping[str, np.ndarray]) -> Regression:

@@ -257,7 +257,7 @@ def _step(
         return step, now + 2.0 * float(gradient @ step) + float(step @ matrix.whole @ step)
 
     low, high = np.log(WEAKEST), np.log(most)
-    for _ in range(14):
+    for _ in range(8):
         middle = 0.5 * (low + high)
         _, promised = solve(np.exp(middle))
         low, high = (middle, high) if promised < target else (low, middle)
