@@ -3,8 +3,7 @@
 Every feature stands there as the change of the markers that it makes; beside them stand the fitted
 parameters, which may give way. Terms are added one by one while each takes away a good share of the misfit;
 those that blocks of frames drawn again keep choosing stay (stability selection: Meinshausen and Buehlmann,
-2010) and are fitted once more, alone. Features whose changes are all but parallel are one term, named after
-the one that explains most.
+2010) and are fitted once more, alone. Features whose changes are all but parallel are one term.
 """
 
 from __future__ import annotations
@@ -173,11 +172,14 @@ def _next_drops(gram: np.ndarray, right: np.ndarray, used: list[int]) -> np.ndar
     return np.where(acts, left**2 / np.where(acts, information, 1.0), 0.0)
 
 
-def _spokesmen(alike: np.ndarray, order: Sequence[int]) -> np.ndarray:
-    """(K,) of every feature the one that speaks for it: the first in order of those alike."""
+def _spokesmen(alike: np.ndarray, order: Sequence[int], simple: Sequence[bool]) -> np.ndarray:
+    """(K,) of every feature the one that speaks for it: the first in order of those alike, a simple one where
+    there is any."""
     spokesman = np.full(len(alike), -1)
     for k in order:
-        spokesman[alike[k] & (spokesman < 0)] = k
+        mine = alike[k] & (spokesman < 0)
+        if mine.any():
+            spokesman[mine] = next((j for j in order if mine[j] and simple[j]), k)
     return spokesman
 
 
@@ -185,13 +187,17 @@ def find_formula(
     regression: Regression,
     expressions: Sequence[str],
     units: Sequence[str],
+    simple: Sequence[bool],
     *,
     generator: np.random.Generator,
 ) -> Formula:
-    """The terms that explain the data and that blocks drawn again keep choosing."""
+    """The terms that explain the data and that blocks drawn again keep choosing.
+
+    simple: features that speak for those that cannot be told from them.
+    """
     blocks = len(regression.rows)
     alike = regression.alike()
-    spokesman = _spokesmen(alike, regression.best(regression.features))
+    spokesman = _spokesmen(alike, regression.best(regression.features), simple)
     full = list(dict.fromkeys(int(spokesman[k]) for k in regression.chosen(np.ones(blocks))))
     counts = np.zeros(regression.features)
     draws = [np.bincount(generator.integers(blocks, size=blocks), minlength=blocks) for _ in range(RESAMPLES)]

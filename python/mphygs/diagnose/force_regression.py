@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mphygs.diagnose.force_features import Feature, PointMotion, library
+from mphygs.diagnose.force_features import KINDS, Feature, PointMotion, library
 from mphygs.diagnose.force_formula import Formula, Regression, find_formula
 from mphygs.diagnose.missing_force import Found, MissingForce
 from mphygs.diagnose.missing_force_model import Channels
@@ -85,7 +85,9 @@ def formula_of(
         rows = sum(len(f.residual) for f in base.found.values())
         say(f"formula, round {number + 1}: {np.sqrt(base.chi_square / rows):.3f} sigma in place of the force")
     expressions, units = [f.expression for f in features], [f.unit for f in features]
-    formula = find_formula(_regression(base, own), expressions, units, generator=generator)
+    # Of forces that are not told apart, the one that can be added to the model.
+    simple = [KINDS[f.kind].code is not None for f in features]
+    formula = find_formula(_regression(base, own), expressions, units, simple, generator=generator)
     return Explained(formula, tuple(features[t.index] for t in formula.terms))
 
 

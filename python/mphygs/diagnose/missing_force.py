@@ -251,6 +251,8 @@ def _step(
     fixed = matrix.penalty @ _flat(state, np.zeros(count))
     slope = gradient.copy()
     slope[len(slope) - count :] += pull
+    # Against rounding alone.
+    base[np.diag_indices(len(base))] *= 1.0 + 1e-9
 
     def solve(strength: float) -> tuple[np.ndarray, float]:
         step = -cho_solve(cho_factor(base + strength * matrix.penalty), slope + strength * fixed)

@@ -7,15 +7,16 @@ gives the change of the marker positions to some tens of per cent: not the deriv
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
 from scipy.sparse import bmat, coo_matrix, csc_matrix, diags, identity, kron
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
+from mphygs import _core
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import Body, core_model
+from mphygs.simulate.body import Body
 from mphygs.simulate.fields import core_effects, places, primal
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.user_effects import forces_of
@@ -67,10 +68,7 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
     spots = places(belief)
     if len(spots):
         free |= {"places": spots, "place_cell": body.nearest_cell(spots)}
-    model = core_model(
-        replace(body, geometry=free), active=core_effects(belief), dtype=np.float64, law=belief.law,
-        threads=1, memory_budget=1 << 28,
-    )  # fmt: skip
+    model = _lumped(free, {"active": list(core_effects(belief)), "law": belief.law})
     fields = primal(belief, body)
     if belief.prestress == "equilibrium":
         solution = predictor.rest_shape.solve(belief)
@@ -94,6 +92,14 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
     slowed = accelerations([{"velocity0": s} for s in np.moveaxis(shape, -1, 0)])
     damping = -np.einsum("n,nci,jnc->ij", mass, shape, slowed)
     return Modes(shape, squared, damping, mass)
+
+
+def _lumped(geometry: dict, settings: dict) -> object:
+    """The model in double precision with lumped inertia, so that accelerations times masses are forces."""
+    try:
+        return _core.TotalLagrangianFloat64(geometry, settings | {"corrected_inertia": False})
+    except KeyError:  # a core that knows no other inertia
+        return _core.TotalLagrangianFloat64(geometry, settings)
 
 
 def _lowest(
