@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from mphygs.diagnose.missing_force import Found
 from mphygs.simulate.fields import primal
@@ -116,17 +117,13 @@ class PointMotion:
         """Cauchy stress (T, Q, 3, 3) [Pa] -> the internal force on the nodes, (T, N, 3) [N]."""
         volume = np.linalg.det(self.deformation)[..., None, None] * self.volume[:, None, None]
         first = volume * stress @ np.swapaxes(np.linalg.inv(self.deformation), -1, -2)
-        out = np.zeros((len(stress), self.nodes, 3))
-        for t, one in enumerate(first):
-            share = np.einsum("qcj,qkj->qkc", one, self.slope)
-            np.subtract.at(out[t], self.node.ravel(), share.reshape(-1, 3))
-        return out
+        return -sum(self._gathered(self.node, self.slope[..., j], first[..., j]) for j in range(3))
 
     def _gathered(self, node: np.ndarray, weight: np.ndarray, force: np.ndarray) -> np.ndarray:
-        out = np.zeros((len(force), self.nodes, 3))
-        for t, one in enumerate(force):
-            np.add.at(out[t], node.ravel(), (weight[..., None] * one[:, None]).reshape(-1, 3))
-        return out
+        """Sums at the nodes, (T, N, 3), of what points (T, Q, 3) hand to theirs, (Q, 27), by weight."""
+        point = np.repeat(np.arange(len(node)), node.shape[1])
+        matrix = csr_matrix((weight.ravel(), (node.ravel(), point)), shape=(self.nodes, len(node)))
+        return np.stack([matrix @ one for one in force])
 
 
 def _midway(values: np.ndarray, frames: int) -> np.ndarray:

@@ -169,13 +169,15 @@ def missing_force_text(document: Mapping[str, object], capture: Path, folder: Pa
         f"  when: half of its square in frames {a} to {b - 1} of {then['sequence']}",
         *(f"  {WORDS[word]}" for word in document["nature"]),
     ]
+    tried = ", ".join(f"{e['expression']} ({e['stability']:.0%})" for e in document["unstable"][:3])
     if document["formula"] is None:
-        tried = ", ".join(f"{e['expression']} ({e['stability']:.0%})" for e in document["unstable"][:3])
-        return [*lines, f"  no stable formula{': chosen now and then: ' + tried if tried else ''}"]
+        return [*lines, f"  no stable formula{'; frames drawn again choose ' + tried if tried else ''}"]
     lines.append(f"  formula [N/kg]: {document['formula']}")
     for term in document["terms"]:
         if term["alike"]:
             lines.append(f"    {term['expression']} is not told apart from {', '.join(term['alike'])}")
+    if tried:
+        lines.append(f"    frames drawn again choose also {tried}")
     if document["plugin"]:
         plugin = shlex.quote(str(folder / document["plugin"]))
         lines.append(f"  add it: mphygs fit {shlex.quote(str(capture))} --plugin {plugin} --effects {EFFECT}")

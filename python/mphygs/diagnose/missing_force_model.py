@@ -80,7 +80,8 @@ class SeenForce:
 class Channels:
     """The markers' view of a body's modes: as many numbers a frame as modes, whitened like the markers.
 
-    shown: (M,) weight of every free marker; basis: (3 M, m) orthonormal; mix: (m, m) of amplitudes.
+    shown: (M,) weight of every free marker; basis: (3 M, k) orthonormal; mix: (k, m) of amplitudes,
+    k the less of 3 M and m.
     """
 
     seen: SeenForce
@@ -105,7 +106,7 @@ class Channels:
         moving = motion.timeline.moving
         cells = np.einsum("ncj,nk->jkc", self.modes.shape, basis.spread)
         forces = np.einsum("fh,jkc->fjhkc", basis.hats[moving], cells)
-        return self._shown(motion, forces.reshape(len(moving), len(self.mix), -1))
+        return self._shown(motion, forces.reshape(len(moving), len(self.modes.squared), -1))
 
     def of_node_forces(self, motion: ForcedMotion, forces: np.ndarray) -> np.ndarray:
         """(N', K) whitened channels by forces (T, N, 3, K) [N]."""
