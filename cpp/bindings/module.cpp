@@ -6,6 +6,7 @@ void bind_registry(pybind11::module_& m);
 void bind_total_lagrangian(pybind11::module_& m);
 void bind_equilibrium(pybind11::module_& m);
 void bind_mls_mpm(pybind11::module_& m);
+void bind_splatting(pybind11::module_& m);
 }  // namespace mphygs_python
 
 // The build names the module: _core, or _core_v3 and its kind in a portable wheel.
@@ -15,4 +16,5 @@ PYBIND11_MODULE(MPHYGS_MODULE, m) {
     mphygs_python::bind_total_lagrangian(m);
     mphygs_python::bind_equilibrium(m);
     mphygs_python::bind_mls_mpm(m);
+    mphygs_python::bind_splatting(m);
 }

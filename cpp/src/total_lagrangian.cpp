@@ -52,6 +52,7 @@ std::vector<Trajectory<T>> roll(const TotalLagrangian<T>& model, const Inputs<T,
 
 template <class T>
 std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>& fields) const {
+    check_body(fields);
     Inputs<T, 0> inputs;
     inputs.primal = &fields;
     const Schedule none;
@@ -130,6 +131,7 @@ Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>& fields, const Schedule& s
 
 template <class T>
 std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
+    check_body(fields);
     Fields<T> value = fields;
     std::fill(value.gravity.begin(), value.gravity.end(), T{});
     value.displacement0.clear();
@@ -152,6 +154,7 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
 
 template <class T>
 std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields, int iterations, const PointHook<T>* hook) const {
+    check_body(fields);
     // One tangent substep from rest: with a unit step, du = 0 and dv = x gives the force on v,
     // du = x gives the stiffness. No gravity, no hold: both only lower the frequencies.
     Fields<T> value = fields;

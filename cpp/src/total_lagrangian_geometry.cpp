@@ -229,32 +229,44 @@ PointWeights TotalLagrangian<T>::weights(const std::vector<double>& points, cons
     return w;
 }
 
+namespace {
+
+template <class T>
+void require_size(const std::vector<T>& v, std::size_t n, bool optional, const char* name) {
+    require((optional && v.empty()) || v.size() == n,
+            std::string(name) + " has " + std::to_string(v.size()) + " numbers, expected " + std::to_string(n));
+}
+
+}  // namespace
+
+template <class T>
+void TotalLagrangian<T>::check_body(const Fields<T>& f) const {
+    const std::size_t points = 8 * geometry_.block_count();
+    require_size(f.mu, points, false, "mu");
+    require_size(f.lambda, points, false, "lambda");
+    require_size(f.stress_volume, points, false, "stress_volume");
+    require_size(f.mass, points, false, "mass");
+    require_size(f.deformation0, 9 * points, true, "deformation0");
+    require_size(f.effect, static_cast<std::size_t>(Registry::parameter_count), false, "effect");
+    require_size(f.place_mass, geometry_.place_count(), !sites_.mass, "place_mass");
+    require_size(f.place_effect, geometry_.place_count() * static_cast<std::size_t>(sites_.point_parameters), !sites_.point,
+                 "place_effect");
+    require_size(f.gravity, 3, false, "gravity");
+    require_size(f.displacement0, 3 * node_count(), true, "displacement0");
+    require_size(f.velocity0, 3 * node_count(), true, "velocity0");
+}
+
 template <class T>
 void TotalLagrangian<T>::check(const Fields<T>& f, const Schedule& s) const {
-    const std::size_t points = 8 * geometry_.block_count();
-    const auto size = [](const std::vector<T>& v, std::size_t n, bool optional, const char* name) {
-        require((optional && v.empty()) || v.size() == n,
-                std::string(name) + " has " + std::to_string(v.size()) + " numbers, expected " + std::to_string(n));
-    };
     const std::size_t frames = s.steps.size();
     require(s.dt.size() == frames, "the schedule needs one dt per interval");
     for (std::size_t k = 0; k < frames; ++k) {
         require(s.steps[k] > 0 && s.dt[k] > 0, "the schedule's steps and dt must be positive");
     }
-    size(f.mu, points, false, "mu");
-    size(f.lambda, points, false, "lambda");
-    size(f.stress_volume, points, false, "stress_volume");
-    size(f.mass, points, false, "mass");
-    size(f.deformation0, 9 * points, true, "deformation0");
-    size(f.effect, static_cast<std::size_t>(Registry::parameter_count), false, "effect");
-    size(f.place_mass, geometry_.place_count(), !sites_.mass, "place_mass");
-    size(f.place_effect, geometry_.place_count() * static_cast<std::size_t>(sites_.point_parameters), !sites_.point, "place_effect");
-    size(f.gravity, 3, false, "gravity");
-    size(f.displacement0, 3 * node_count(), true, "displacement0");
-    size(f.velocity0, 3 * node_count(), true, "velocity0");
-    size(f.node_force, 3 * node_count() * frames, true, "node_force");
-    size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
-         geometry_.hold_count == 0, "pose");
+    check_body(f);
+    require_size(f.node_force, 3 * node_count() * frames, true, "node_force");
+    require_size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
+                 geometry_.hold_count == 0, "pose");
 }
 
 template <class T>

@@ -22,7 +22,8 @@ from mphygs.diagnose.missing_force_document import (
     unexplained,
 )
 from mphygs.extend.__main__ import DOCUMENT
-from mphygs.extend.discover import Discovery, Step, discover
+from mphygs.extend.discover import Discovery, discover
+from mphygs.extend.step import Step
 from mphygs.extend.steps import left_out_of, run_at, step_at, step_document, steps_text
 from mphygs.fit.__main__ import RUNS, FitOptions, fitted
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
@@ -91,18 +92,20 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     spacing = state.settings.spacing
     documents = list(kept.get("steps", []))
     beliefs = list(kept.get("beliefs", [document_of_belief(belief)]))
+    spacings = list(kept.get("spacings", [spacing]))
     steps = [
-        step_at(experiment, belief_from_document(b), spacing, added=d["added"], ties=d["ties"])
-        for b, d in zip(beliefs, documents, strict=False)
+        step_at(experiment, belief_from_document(b), h, added=d["added"], ties=d["ties"])
+        for b, d, h in zip(beliefs, documents, spacings, strict=False)
     ] or [step_at(experiment, belief, spacing)]
     if not documents:
         documents = [step_document(steps[0], experiment, ())]
-        _keep(out, documents, beliefs, experiment)
+        _keep(out, documents, beliefs, spacings, experiment)
 
     def on_step(step: Step) -> None:
         documents.append(step_document(step, experiment, documents[-1]["effects"]))
         beliefs.append(document_of_belief(step.belief))
-        _keep(out, documents, beliefs, experiment)
+        spacings.append(step.spacing)
+        _keep(out, documents, beliefs, spacings, experiment)
         console.say("\n".join(steps_text(plain(documents[-1:]))))
 
     found = discover(
@@ -115,11 +118,12 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         report=console.say,
         on_step=on_step,
     )
-    if len(documents) > 1:  # the last step may have been refitted on the default grid since it was told
-        documents[-1] = step_document(found.steps[-1], experiment, documents[-2]["effects"])
-        beliefs[-1] = document_of_belief(found.steps[-1].belief)
+    for k, step in enumerate(found.steps):  # a step may have moved to a finer grid since it was told
+        if step.spacing != spacings[k]:
+            documents[k] = step_document(step, experiment, documents[k - 1]["effects"] if k else ())
+            beliefs[k], spacings[k] = document_of_belief(step.belief), step.spacing
     answer = _conclude(out, options, state, experiment, found, documents, console)
-    _keep(out, documents, beliefs, experiment, answer)
+    _keep(out, documents, beliefs, spacings, experiment, answer)
     return Answer(answer, _text(answer, state.capture))
 
 
@@ -149,10 +153,16 @@ def _left_out(kept: Mapping) -> dict[str, tuple[tuple[int, int], ...]]:
 
 
 def _keep(
-    out: Path, documents: list, beliefs: list, experiment: Experiment, answer: Mapping | None = None
+    out: Path,
+    documents: list,
+    beliefs: list,
+    spacings: list,
+    experiment: Experiment,
+    answer: Mapping | None = None,
 ) -> None:
     """Write the steps so far; with the answer when the loop is done."""
-    document = {"steps": documents, "beliefs": beliefs, "left_out": left_out_of(experiment)}
+    left_out = left_out_of(experiment)
+    document = {"steps": documents, "beliefs": beliefs, "spacings": spacings, "left_out": left_out}
     if answer is not None:
         document |= answer
     part = out / f".{DOCUMENT}"
@@ -175,8 +185,8 @@ def _conclude(
     """
     missing = None
     if found.verdict == "unknown":
-        belief, spacing = found.steps[-1].belief, state.settings.spacing
-        missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
+        last = found.steps[-1]
+        missing = unexplained(experiment, last.belief, last.spacing, seed=state.seed, report=console.say)
     answer = {
         "steps": documents,
         "verdict": found.verdict,

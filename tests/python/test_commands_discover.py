@@ -15,7 +15,7 @@ from mphygs.fit.run import load_run
 
 CANDIDATES = "viscosity,gravity"
 # Names that what the capture holds does not bear.
-WRONG = "eigenstrain,length_scale,gravity"
+WRONG = "eigenstrain,length_scale"
 
 
 @pytest.fixture(scope="module")
@@ -99,8 +99,6 @@ def test_diagnose_finds_the_force_where_no_name_explains(elastic: Path, tmp_path
     assert force["where"][0]["part"] == "bar" and force["when"][0]["sequence"] == "swing"
     assert force["nature"] == ["dissipative"]
     assert (run / "missing-force.safetensors").is_file()
-    code, out, _ = call(diagnose.main, run, "--effects", WRONG)
-    assert code == 0 and "missing force:" in out and (force["formula"] or "no stable formula") in out
 
 
 def test_discover_ends_unknown_with_the_force(capture: Path, tmp_path: Path) -> None:

@@ -16,6 +16,9 @@ from mphygs.compare.verdict_floor import Floor, floor_test
 # Two bodies discretised differently agree to a few tenths of a standard deviation at best: a misfit of
 # this many sigma, everywhere, is no reason to doubt the physics (spec: 1.1, of which noise is 1).
 PRACTICAL_FLOOR = 1.1
+# Where a refinement has shown the discretisation's share: what neither it nor noise covers is no more than
+# this many sigma, noise included, and the misfit no more than the second number.
+BUDGET_FLOOR, LARGEST_GRID_ERROR = 1.15, 5.0
 # Cosines over time by which the discretisation's error may differ from the change under refinement.
 MODULATIONS = 6
 
@@ -167,14 +170,18 @@ def assess(
     found = ratios(whitened)
     worst = max(v for ranges in found.values() for v in ranges.values())
     sigma = float(np.sqrt(np.mean([c.observation.sigma**2 for c in compared.values()])))
+    budget = _budget(whitened, sigma)
+    # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics.
+    beyond = np.hypot(1.0, budget["physics"] / budget["noise"])
+    own = np.any(whitened.refinement) and beyond <= BUDGET_FLOOR and worst < LARGEST_GRID_ERROR
     return Assessment(
-        adequate=bool(worst <= PRACTICAL_FLOOR or (floor.reached and worst <= 1.5 * PRACTICAL_FLOOR)),
+        adequate=bool(worst <= PRACTICAL_FLOOR or (floor.reached and worst <= 1.5 * PRACTICAL_FLOOR) or own),
         p_value=floor.p_value,
         ratio=found,
         floor=floor,
         where=_where(whitened, part_names, part_centers, sigma),
         when=_when(whitened, sigma, block_frames),
-        budget=_budget(whitened, sigma),
+        budget=budget,
     )
 
 

@@ -21,7 +21,8 @@ from mphygs.diagnose.missing_force_document import (
     unexplained,
 )
 from mphygs.diagnose.rank import Ranking, allowance_of, rank
-from mphygs.extend.discover import Discovery, Step, discover
+from mphygs.extend.discover import Discovery, discover
+from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of

@@ -13,7 +13,6 @@ import numpy as np
 import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
-from mphygs.extend.discover import explained
 from mphygs.extend.named import add_named
 from mphygs.extend.steps import run_at, step_at, step_document, steps_text
 from mphygs.fit.of_run import experiment_of
@@ -77,7 +76,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     physics = [name for name in paying if effect(name).kind != "measurement"]
     if steps[0].assessment.adequate:
         verdict = "adequate"
-    elif not explained(steps[0].assessment, steps[-1].assessment):
+    elif not steps[-1].explained:
         verdict = "unknown"
     else:
         verdict = "missing" if physics else "measurement"

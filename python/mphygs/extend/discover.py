@@ -7,24 +7,25 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mphygs.compare.assess import Assessment, Compared
+from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
+from mphygs.extend.grids import on_grid, refined
 from mphygs.extend.refit import Refit, finish_refit, start_refit
+from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.schedule import default_spacing, find_scale, fit_belief
+from mphygs.fit.schedule import find_scale, fit_belief
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-# The error counts as explained below this many sigma on every range ...
-EXPLAINED = 1.15
-# ... or where the effects took away nearly all of the excess and what is left is small.
-EXPLAINED_SHARE, SMALL_REST = 0.985, 1.5
-# Fewest steps that an effect must beat another by, on all frames, to be preferred [ratio of excess].
-CLEARLY_BETTER = 0.8
+# An effect that leaves this share of another's excess on all frames explains more; excesses that differ by
+# less than the second number [of the noise's mean square] are the same.
+CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
+# Effects whose excess is within this factor of the best one's, or below the second number, are its rivals.
+RIVAL, ALIKE_EXCESS = 2.0, 0.1
 LARGEST_MODEL = 4
 # So many effects are begun to be refitted; so many of them to the end.
 BEGUN, FINISHED = 9, 3
@@ -33,24 +34,9 @@ WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
 # Refits over a window within this factor of the best chi^2 are continued on all frames.
 ALIKE = 1.35
-# Share of the first model's excess that may be left for the default grid to be asked.
-WORTH_CONFIRMING = 0.2
 # Diagnosis looks at the first frames over which the misfit is between these [sigma].
 VISIBLE, TRACTABLE = 1.25, 4.0
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One model of the loop. added: effects new in it; ties: effects that the data cannot tell from them."""
-
-    belief: Belief
-    solution: Solution
-    compared: dict[str, Compared]
-    assessment: Assessment
-    added: tuple[str, ...] = ()
-    ties: tuple[str, ...] = ()
-    refits: tuple[Refit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,20 +48,6 @@ class Discovery:
     steps: tuple[Step, ...]
     rankings: tuple[Ranking, ...]
     warnings: tuple[str, ...] = field(default_factory=tuple)
-
-
-def excess(assessment: Assessment) -> float:
-    """Mean square beyond noise of the whitened residual, averaged over ranges."""
-    values = [v for ranges in assessment.ratio.values() for v in ranges.values()]
-    return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
-
-
-def explained(first: Assessment, now: Assessment) -> bool:
-    """Whether the model brings the error to its floor."""
-    if now.adequate or now.worst <= EXPLAINED:
-        return True
-    share = 1.0 - excess(now) / max(excess(first), 1e-12)
-    return share >= EXPLAINED_SHARE and now.worst <= SMALL_REST
 
 
 def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
@@ -160,7 +132,7 @@ def first_fit(
         warm=warm,
     )
     compared = experiment.compare(solution.belief, spacing)
-    return Step(solution.belief, solution, compared, experiment.assess(compared))
+    return Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
 
 
 def promising(ranking: Ranking) -> list[Entry]:
@@ -232,17 +204,59 @@ def refits_of(
     return finished
 
 
-def choose(refits: Sequence[Refit]) -> tuple[Refit, tuple[str, ...]]:
-    """The refit that explains most on all frames, and those that the data cannot tell from it."""
+def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The refit that explains most on all frames, and its rivals: those that explain nearly as much."""
     ordered = sorted(refits, key=lambda r: excess(r.assessment))
     best = ordered[0]
-    floor = max(excess(best.assessment), 0.02)
-    ties = [
-        r.entry.effect
-        for r in ordered[1:]
-        if excess(r.assessment) < floor / CLEARLY_BETTER and r.assessment.worst <= EXPLAINED
-    ]
-    return best, tuple(ties)
+    limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
+    return best, [r for r in ordered[1:] if excess(r.assessment) < limit]
+
+
+def step_of(refit: Refit, spacing: float, refits: Sequence[Refit]) -> Step:
+    """The model of a refit as a step."""
+    added = (refit.entry.effect,)
+    return Step(
+        refit.belief,
+        refit.solution,
+        refit.compared,
+        refit.assessment,
+        spacing,
+        added,
+        (),
+        tuple(refits),
+    )
+
+
+def settled(
+    experiment: Experiment,
+    steps: Sequence[Step],
+    best: Step,
+    rivals: Sequence[Step],
+    report: Callable[[str], None] | None,
+) -> Step:
+    """The better of the best step and its rivals on the grid that the best one asks for, with its ties.
+
+    What reaches the floor as well cannot be told from it.
+    """
+    best = refined(experiment, [*steps, best], report)
+    alike = []
+    for rival in rivals:
+        if rival.spacing != best.spacing:
+            if not best.explained:
+                continue
+            moved = on_grid(experiment, rival, best.spacing, report)
+            if moved is None:
+                continue
+            rival = moved
+        alike.append(rival)
+    alike.sort(key=lambda step: excess(step.assessment))
+    if alike and excess(alike[0].assessment) < CLEARLY_BETTER * excess(best.assessment) - NEGLIGIBLE:
+        best, alike = alike[0], [best, *alike[1:]]
+    limit = excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE
+    tied = [best, *(r for r in alike if excess(r.assessment) < limit)]
+    # Of models that do alike the one with fewest parameters comes first.
+    tied.sort(key=lambda step: (len(step.belief.free), excess(step.assessment)))
+    return replace(tied[0], refits=best.refits, ties=tuple(r.added[0] for r in tied[1:]))
 
 
 def discover(
@@ -279,16 +293,12 @@ def discover(
         steps.append(replace(step, added=("marker_outliers",)))
         if on_step:
             on_step(steps[-1])
-    base = steps[0].assessment
-    while (
-        not explained(base if steps[-1].added else steps[-1].assessment, steps[-1].assessment)
-        or not steps[-1].added
-    ):
+    steps[-1] = refined(experiment, steps, report)
+    while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         current = steps[-1]
+        spacing = current.spacing
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
         generator = np.random.default_rng((seed, len(steps)))
-        if current.assessment.adequate or len(current.belief.terms) >= LARGEST_MODEL:
-            break
         window = tractable_window(experiment, current, spacing, say)
         fitted = window[1]
         share = allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])
@@ -319,59 +329,25 @@ def discover(
         refits = [r for r in finished if r.pays]
         if not refits:
             break
-        best, ties = choose(refits)
+        best, rivals = choose(refits)
+        step = step_of(best, spacing, finished)
         steps.append(
-            Step(
-                best.belief,
-                best.solution,
-                best.compared,
-                best.assessment,
-                (best.entry.effect,),
-                ties,
-                tuple(finished),
-            )
+            settled(experiment, steps, step, [step_of(r, spacing, ()) for r in rivals], report)
         )
         if on_step:
             on_step(steps[-1])
-    steps[-1] = _confirmed(experiment, steps, spacing, say)
     return _conclude(steps, faults, rankings, warnings)
-
-
-def _confirmed(experiment: Experiment, steps: list[Step], spacing: float, say: Callable[[str], None]) -> Step:
-    """The last step, refitted on the default grid where the screening grid left it short of the floor.
-
-    Many models are tried on a coarse grid; what it leaves may be the grid's own error.
-    """
-    last = steps[-1]
-    fine = default_spacing(experiment.capture)
-    if not last.added or fine >= 0.9 * spacing or explained(steps[0].assessment, last.assessment):
-        return last
-    if excess(last.assessment) > WORTH_CONFIRMING * excess(steps[0].assessment):
-        return last
-    say(f"refitting on the default grid, {1e3 * fine:.3g} mm")
-    try:
-        solution = minimise(experiment.problem(fine), last.belief, iterations=8, relative_tolerance=3e-4)
-        compared = experiment.compare(solution.belief, fine)
-    except SimulationError as error:
-        say(f"the default grid: {error}")
-        return last
-    assessment = experiment.assess(compared)
-    say(f"{last.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    if assessment.worst >= last.assessment.worst:
-        return last
-    return replace(last, belief=solution.belief, solution=solution, compared=compared, assessment=assessment)
 
 
 def _conclude(
     steps: list[Step], faults: list[str], rankings: list[Ranking], warnings: list[str]
 ) -> Discovery:
-    first, last = steps[0].assessment, steps[-1].assessment
+    last = steps[-1]
     added = [name for step in steps for name in step.added]
-    if not added:
-        verdict = "adequate" if first.adequate else "unknown"
-        return Discovery(verdict, (), tuple(steps), tuple(rankings), tuple(warnings))
-    physics = [n for n in added if effect(n).kind != "measurement"]
-    if not explained(first, last):
-        return Discovery("unknown", (), tuple(steps), tuple(rankings), tuple(warnings))
-    verdict = "missing" if physics else "measurement"
+    if not last.explained:
+        verdict, added = "unknown", []
+    elif not added:
+        verdict = "adequate"
+    else:
+        verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
     return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), tuple(warnings))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from mphygs.diagnose.rank import rank
-from mphygs.extend.discover import Step, first_fit, mask_outliers
+from mphygs.extend.discover import first_fit, mask_outliers
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
+from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
 from mphygs.model.belief import Belief
@@ -83,6 +85,7 @@ def add_named(
         found.solution,
         found.compared,
         found.assessment,
+        spacing,
         (name,),
         entry.confounded_with,
         (found,),
@@ -101,7 +104,7 @@ def _refitted(
 ) -> tuple[Step, bool]:
     """A step from a belief near its minimum, and whether it pays."""
     after = first_fit(experiment, belief, spacing, report=report, warm=True)
-    step = Step(after.belief, after.solution, after.compared, after.assessment, (name,))
+    step = replace(after, added=(name,))
     if name == "marker_outliers":
         # Other measurements are used now: likelihoods before and after are not of the same data.
         return step, step.assessment.worst < before.assessment.worst

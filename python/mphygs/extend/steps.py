@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mphygs.extend.discover import Step
+from mphygs.extend.step import Step
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
@@ -30,7 +30,9 @@ def step_at(
     evaluation = experiment.problem(spacing).evaluate(belief)
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
     compared = experiment.compare(belief, spacing)
-    return Step(belief, solution, compared, experiment.assess(compared), tuple(added), tuple(ties))
+    return Step(
+        belief, solution, compared, experiment.assess(compared), spacing, tuple(added), tuple(ties)
+    )
 
 
 def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:
@@ -76,6 +78,7 @@ def run_at(
         run,
         folder=folder,
         options=options,
+        settings=replace(run.settings, spacing=step.spacing),
         start=run.belief,
         belief=step.belief,
         covariance=covariance(evaluation),

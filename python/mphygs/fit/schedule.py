@@ -19,7 +19,7 @@ from mphygs.simulate.prediction import Settings
 DEFAULT_CELLS = 250
 COARSE_FACTOR = 1.5
 # Of the default spacing: thin parts are lost on grids coarser than this.
-COARSEST = 2.0
+COARSEST = 1.7
 SCREENING_FACTOR = 1.7
 # A model this far from the data [sigma] is fitted no further than a few iterations.
 HOPELESS, HOPELESS_ITERATIONS = 5.0, 2

@@ -18,7 +18,7 @@ LOAD_STAGES = (0.35, 0.7, 1.0)
 
 
 class RestShape:
-    """Solves for the stress-free state of one body and keeps the last solution to start from.
+    """Solves for the stress-free state of one body and keeps the last solution.
 
     Not to be shared between threads: each solution replaces the factorisation.
     """
@@ -45,9 +45,8 @@ class RestShape:
             if len(spots):
                 geometry |= {"places": spots, "place_cell": self._body.nearest_cell(spots)}
             self._model = _core.TotalLagrangianFloat64(geometry, {"active": list(active), "law": rest.law})
-            start = None if self._solution is None else self._solution["map"]
             self._solver = _core.Equilibrium(self._model)
-            self._key, self._start = key, start
+            self._key = key
             self._coordinates = None
         return rest
 
@@ -68,9 +67,10 @@ class RestShape:
             [fields["mu"].ravel(), fields["lambda"].ravel(), load.ravel(), fields["effect"]]
         ).tobytes()
         if signature != self._coordinates:
-            start = self._solution["map"] if self._solution is not None else np.zeros(0)
+            # Always from no load: a start from another solution saves one step of four, but a soft object
+            # has several equilibria, and which one is found must not depend on what was asked before.
             try:
-                self._solution = self._newton(fields, load, start)
+                self._solution = self._newton(fields, load, np.zeros(0))
             except SimulationError:
                 self._solution = self._ramped(fields, load)
             self._coordinates = signature

@@ -71,6 +71,8 @@ class TotalLagrangian {
 
     /// Checks the sizes of all inputs; std::invalid_argument names the one that is wrong.
     void check(const Fields<T>& fields, const Schedule& schedule) const;
+    /// The same for all inputs that do not depend on the schedule.
+    void check_body(const Fields<T>& fields) const;
 
   private:
     template <class U, int K>

@@ -1,0 +1,144 @@
+"""Cameras from a nerfstudio transforms.json, and back."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mphygs.capture.cameras import (
+    DISTORTIONS,
+    Camera,
+    camera_from_world_of_opengl,
+    opengl_of_camera,
+)
+from mphygs.capture.document import Entry, read_document
+from mphygs.capture.errors import fault
+from mphygs.capture.files import file_inside
+from mphygs.capture.shots import Shot
+
+_INTRINSICS = (
+    "fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x",
+    "camera_angle_y", "camera_model",
+)  # fmt: skip
+# what nerfstudio and its converters write beside that, of no meaning here
+_NOTES = (
+    "aabb_scale", "scale", "offset", "applied_transform", "applied_scale", "ply_file_path",
+    "orientation_override", "auto_scale_poses_override", "train_filenames", "val_filenames", "test_filenames",
+)  # fmt: skip
+_FRAME_NOTES = ("colmap_im_id", "sharpness", "depth_file_path")
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+
+
+def read_transforms(path: Path) -> list[Shot]:
+    """The pictures of the transforms.json at `path`, in its order.
+
+    Intrinsics stand in a frame or once for all; `transform_matrix` is camera-to-world in OpenGL's axes [m];
+    `camera` and `frame` name the camera and the frame of a sequence; a frame without `camera` is a camera of
+    its own, named as its file. Raises CaptureError for anything that cannot be used.
+    """
+    root = read_document(path)
+    root.check_keys(required=("frames",), optional=(*_INTRINSICS, *_NOTES))
+    frames = root["frames"].elements()
+    if not frames:
+        raise root["frames"].fault("is empty", "at least one picture")
+    return [_read_frame(path.parent, root, frame) for frame in frames]
+
+
+def _read_frame(folder: Path, root: Entry, entry: Entry) -> Shot:
+    entry.check_keys(
+        required=("file_path", "transform_matrix"),
+        optional=(*_INTRINSICS, *_FRAME_NOTES, "camera", "frame", "mask_path"),
+    )
+    image = file_inside(folder, entry["file_path"])
+    given = entry.get("mask_path")
+    mask = file_inside(folder, given) if given else None
+    name = entry["camera"].text() if entry.get("camera") else image.stem
+    frame: int | None = None
+    if number := entry.get("frame"):
+        frame = number.integer()
+        if frame < 0:
+            raise number.wrong("a frame, counted from 0")
+    matrix = entry["transform_matrix"].array((4, 4))
+    if abs(np.linalg.det(matrix)) < 1e-9:
+        raise entry["transform_matrix"].fault("is singular", "a rigid camera-to-world matrix")
+    size, focal, centre, distortion = _read_intrinsics(root, entry)
+    try:
+        pose = camera_from_world_of_opengl(matrix)
+        camera = Camera(name, *size, focal, centre, pose, distortion)
+    except ValueError as error:
+        raise fault(entry.where, str(error), "a camera of nerfstudio's convention") from error
+    return Shot(camera=camera, image=image, mask=mask, frame=frame, where=entry.where)
+
+
+def _read_intrinsics(root: Entry, entry: Entry) -> tuple[tuple[int, int], np.ndarray, np.ndarray, np.ndarray]:
+    """Size, focal lengths, principal point and distortion, of the frame or else of the document."""
+
+    def find(key: str) -> Entry | None:
+        return entry.get(key) or root.get(key)
+
+    def number(key: str) -> float | None:
+        found = find(key)
+        return None if found is None else found.number()
+
+    model = find("camera_model")
+    if model is not None and model.value not in _MODELS:
+        raise model.wrong(f"one of {', '.join(_MODELS)} (fisheye pictures must be undistorted before)")
+    size = []
+    for key in ("w", "h"):
+        found = find(key)
+        if found is None:
+            raise entry.fault(f'"{key}" is missing', "the size of the picture, here or for all frames")
+        value = found.number()
+        if value != int(value) or value < 1:
+            raise found.wrong("a whole number of pixels above zero")
+        size.append(int(value))
+    focal_x, focal_y = number("fl_x"), number("fl_y")
+    if focal_x is None:
+        angle = find("camera_angle_x")
+        if angle is None:
+            raise entry.fault('"fl_x" is missing', "the focal length [px], here or for all frames")
+        if not 0 < angle.number() < math.pi:
+            raise angle.wrong("an angle of view above 0 and below pi [rad]")
+        focal_x = 0.5 * size[0] / math.tan(0.5 * angle.number())
+    centre = [number("cx"), number("cy")]
+    centre = [0.5 * side if at is None else at for at, side in zip(centre, size, strict=True)]
+    if (fourth := find("k4")) is not None and fourth.number() != 0:
+        # nerfstudio's k4 is a fourth power, OpenCV's divides
+        raise fourth.wrong("0: lens distortion is k1, k2, k3, p1, p2")
+    distortion = [number(key) or 0.0 if key in _INTRINSICS else 0.0 for key in DISTORTIONS]
+    focal = np.array([focal_x, focal_x if focal_y is None else focal_y])
+    return (size[0], size[1]), focal, np.array(centre), np.array(distortion)
+
+
+def write_transforms(
+    path: Path, cameras: Sequence[Camera], files: Sequence[str], frames: Sequence[int | None]
+) -> None:
+    """Write pictures `files`, relative to `path`, of `cameras` as a transforms.json that can be read again.
+
+    frames: index of each picture in its sequence, None for rest views. Raises ValueError for a camera whose
+    distortion the format cannot hold (k4, k5, k6).
+    """
+    entries = []
+    for camera, file, frame in zip(cameras, files, frames, strict=True):
+        if camera.distortion[5:].any():
+            raise ValueError(f'camera "{camera.name}": distortion k4 to k6 has no place in transforms.json')
+        entry: dict[str, object] = {
+            "file_path": file,
+            "camera": camera.name,
+            "w": camera.width,
+            "h": camera.height,
+            "fl_x": camera.focal[0],
+            "fl_y": camera.focal[1],
+            "cx": camera.centre[0],
+            "cy": camera.centre[1],
+            **dict(zip(DISTORTIONS[:5], camera.distortion[:5].tolist(), strict=True)),
+            "transform_matrix": opengl_of_camera(camera).tolist(),
+        }
+        entries.append(entry if frame is None else entry | {"frame": frame})
+    path.write_text(
+        json.dumps({"camera_model": "OPENCV", "frames": entries}, indent=1) + "\n", encoding="utf-8"
+    )

@@ -1,0 +1,86 @@
+"""Which grid a model stands on: coarse while the misfit is gross, finer where it could be the grid's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from mphygs.compare.assess import LARGEST_GRID_ERROR
+from mphygs.extend.step import Step, excess
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.fit.schedule import default_spacing, simulable
+from mphygs.simulate.errors import SimulationError
+
+# On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
+# first model, may be the grid's own: the default grid is asked.
+GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
+ITERATIONS = 8
+
+
+def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
+    """Spacing [m] on which the last step should be asked again, None where its grid will do."""
+    first, last = steps[0], steps[-1]
+    default = default_spacing(experiment.capture)
+    if last.spacing < 1.1 * default:
+        return None
+    small = last.added and excess(last.assessment) < EXPLAINED_ON_COARSE * excess(first.assessment)
+    return default if small or last.assessment.worst < GROSS else None
+
+
+def on_grid(
+    experiment: Experiment, step: Step, spacing: float, report: Callable[[str], None] | None = None
+) -> Step | None:
+    """The step refitted on another grid, None where it cannot be simulated there."""
+    say = report or (lambda _text: None)
+    say(f"refitting on a grid of {1e3 * spacing:.3g} mm")
+    try:
+        problem = experiment.problem(spacing)
+        belief = simulable(problem, step.belief)
+
+        def tell(iteration: int, evaluation: object, _belief: object) -> None:
+            rms = (evaluation.chi_square / max(evaluation.data_rows, 1)) ** 0.5
+            say(f"{1e3 * spacing:.3g} mm: iteration {iteration}, {rms:.3f} sigma")
+
+        solution = minimise(problem, belief, iterations=ITERATIONS, relative_tolerance=1e-3, report=tell)
+        compared = experiment.compare(solution.belief, spacing)
+    except SimulationError as error:
+        say(f"grid of {1e3 * spacing:.3g} mm: {error}")
+        return None
+    assessment = experiment.assess(compared)
+    say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    return replace(
+        step,
+        belief=solution.belief,
+        solution=solution,
+        compared=compared,
+        assessment=assessment,
+        spacing=spacing,
+    )
+
+
+def with_budget(
+    experiment: Experiment, step: Step, report: Callable[[str], None] | None = None
+) -> Step:
+    """The step with the discretisation's share of its misfit known, from one refinement."""
+    try:
+        compared = experiment.compare(step.belief, step.spacing, refine=True)
+    except SimulationError:
+        return step
+    assessment = experiment.assess(compared)
+    if report:
+        shares = ", ".join(f"{name} {1e3 * share:.3f}" for name, share in assessment.budget.items())
+        report(f"shares of the misfit [mm]: {shares}")
+    return replace(step, compared=compared, assessment=assessment)
+
+
+def refined(experiment: Experiment, steps: Sequence[Step], report: Callable[[str], None] | None) -> Step:
+    """The last step on the grid that its misfit asks for, with its error budget where that decides."""
+    current = steps[-1]
+    spacing = None if current.explained else next_spacing(experiment, steps)
+    if spacing is not None:
+        current = on_grid(experiment, current, spacing, report) or current
+    fine = current.spacing < 1.1 * default_spacing(experiment.capture)
+    if fine and not current.explained and current.assessment.worst < LARGEST_GRID_ERROR:
+        current = with_budget(experiment, current, report)
+    return current

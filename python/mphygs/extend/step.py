@@ -1,0 +1,41 @@
+"""One model of the loop, and how far it is from the floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.compare.assess import Assessment, Compared
+from mphygs.extend.refit import Refit
+from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.model.belief import Belief
+
+# The error counts as explained below this many sigma on every range.
+EXPLAINED = 1.15
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
+    cannot tell from them."""
+
+    belief: Belief
+    solution: Solution
+    compared: dict[str, Compared]
+    assessment: Assessment
+    spacing: float
+    added: tuple[str, ...] = ()
+    ties: tuple[str, ...] = ()
+    refits: tuple[Refit, ...] = ()
+
+    @property
+    def explained(self) -> bool:
+        """Whether the error is at its floor; without any effect added, whether the model needs none."""
+        return self.assessment.adequate or bool(self.added) and self.assessment.worst <= EXPLAINED
+
+
+def excess(assessment: Assessment) -> float:
+    """Mean square beyond noise of the whitened residual, averaged over ranges."""
+    values = [v for ranges in assessment.ratio.values() for v in ranges.values()]
+    return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))

@@ -1,0 +1,1 @@
+"""Pictures of Gaussians and how like a photograph they are: projection, splatting, losses, metrics."""
