@@ -16,6 +16,11 @@ from mphygs.capture.format import load_capture
 from mphygs.command import Answer, CommonOptions, Console, OptionError, duration, names, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.__main__ import diagnosis_document, known_effects
+from mphygs.diagnose.missing_force_document import (
+    keep_missing_force,
+    missing_force_text,
+    unexplained,
+)
 from mphygs.extend.__main__ import DOCUMENT
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.step import Step
@@ -84,8 +89,8 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     state, capture = fitted(FitOptions(**(given | {"out": first, "resume": resume_fit})), console)
     console.resume = f"{PROGRAM} {shlex.quote(str(state.capture))} --out {shlex.quote(str(out))} --resume"
     if kept.get("verdict"):
-        answer = {key: kept[key] for key in ANSWER}
-        return Answer(answer, _text(answer))
+        answer = {key: kept[key] for key in ANSWER} | {"missing_force": kept.get("missing_force")}
+        return Answer(answer, _text(answer, state.capture))
     begun = replace(state, left_out=_left_out(kept))
     experiment, belief = experiment_of(begun, workers=options.workers)
     spacing = state.settings.spacing
@@ -122,9 +127,9 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         if step.spacing != spacings[k]:
             documents[k] = step_document(step, experiment, documents[k - 1]["effects"] if k else ())
             beliefs[k], spacings[k] = document_of_belief(step.belief), step.spacing
-    answer = _conclude(out, options, state, experiment, found, documents)
+    answer = _conclude(out, options, state, experiment, found, documents, console)
     _keep(out, documents, beliefs, spacings, experiment, answer)
-    return Answer(answer, _text(answer))
+    return Answer(answer, _text(answer, state.capture))
 
 
 def _default_folder(options: DiscoverOptions) -> Path:
@@ -177,29 +182,41 @@ def _conclude(
     experiment: Experiment,
     found: Discovery,
     documents: list,
+    console: Console,
 ) -> dict[str, object]:
-    """Write the last model as a run, the first diagnosis beside it; the JSON of the command."""
+    """Write the last model as a run, the first diagnosis beside it; the JSON of the command.
+
+    Where nothing known explains the error, the force that the last model lacks is found and kept as well.
+    """
+    missing = None
+    if found.verdict == "unknown":
+        last = found.steps[-1]
+        missing = unexplained(experiment, last.belief, last.spacing, seed=state.seed, report=console.say)
     answer = {
         "steps": documents,
         "verdict": found.verdict,
         "effects": list(found.effects),
         "run": str(out),
         "warnings": list(found.warnings),
+        "missing_force": None if missing is None else missing.document(),
     }
     given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
     run_at(state, out, found.steps[-1], experiment, options=given, answer=answer).save()
+    keep_missing_force(missing, out)
     if found.rankings:
-        document = diagnosis_document(found, found.rankings[0], experiment)
+        document = diagnosis_document(found, found.rankings[0], experiment, missing)
         (out / DIAGNOSIS).write_text(json.dumps(plain(document), indent=1) + "\n")
     return answer
 
 
-def _text(answer: Mapping) -> str:
+def _text(answer: Mapping, capture: Path) -> str:
     lines = steps_text(plain(answer["steps"]))
     lines += ["", f"verdict: {answer['verdict']}; effects: {', '.join(answer['effects']) or 'none'}"]
     lines += [f"warning: {line}" for line in answer["warnings"]]
     folder = shlex.quote(str(answer["run"]))
+    if answer["missing_force"]:
+        lines += ["", *missing_force_text(plain(answer["missing_force"]), capture, Path(answer["run"]))]
     return "\n".join([*lines, "", f"run folder: {folder}", f"next: mphygs report {folder}"])
 
 

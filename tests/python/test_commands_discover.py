@@ -1,6 +1,7 @@
 """The commands that say what is missing: extend, diagnose, discover."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ from mphygs.fit import __main__ as fit
 from mphygs.fit.run import load_run
 
 CANDIDATES = "viscosity,gravity"
+# Names that what the capture holds does not bear.
+WRONG = "eigenstrain,length_scale"
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +86,30 @@ def test_diagnose_names_what_is_missing(elastic: Path) -> None:
     assert "viscosity" in found["advice"]
     assert json.loads((elastic / "diagnosis.json").read_text()) == found
     assert (elastic / "run.json").read_bytes() == before
+
+
+def test_diagnose_finds_the_force_where_no_name_explains(elastic: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(elastic, run)
+    found = answer(diagnose.main, run, "--effects", WRONG)
+    assert (found["verdict"], found["effects"]) == ("unknown", [])
+    force = found["missing_force"]
+    assert set(force) >= {"rms", "direction", "where", "when", "formula"}
+    assert force["sigma"]["with"] < 1.05 < 1.3 < force["sigma"]["without"]
+    assert force["where"][0]["part"] == "bar" and force["when"][0]["sequence"] == "swing"
+    assert force["nature"] == ["dissipative"]
+    assert (run / "missing-force.safetensors").is_file()
+
+
+def test_discover_ends_unknown_with_the_force(capture: Path, tmp_path: Path) -> None:
+    out = tmp_path / "loop"
+    options = ("--out", out, "--spacing", SPACING, "--effects", WRONG)
+    found = answer(discover.main, capture, *options)
+    assert found["verdict"] == "unknown" and found["missing_force"]["rms"] > 0.0
+    kept = json.loads((out / "diagnosis.json").read_text())
+    assert kept["missing_force"] == found["missing_force"]
+    assert (out / "missing-force.safetensors").is_file()
+    assert answer(discover.main, capture, *options, "--resume") == found
 
 
 def test_diagnose_leaves_a_complete_model_alone(elastic: Path, tmp_path: Path) -> None:

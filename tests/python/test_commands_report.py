@@ -11,8 +11,16 @@ import numpy as np
 import pytest
 
 from command_example import FRAMES, SPACING, answer, call, make_capture
+from mphygs.command import plain
+from mphygs.diagnose.force_features import Feature
+from mphygs.diagnose.force_formula import Formula, Term
+from mphygs.diagnose.force_readings import ForceSample
+from mphygs.diagnose.force_regression import Explained
+from mphygs.diagnose.missing_force import MissingForce
+from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_force
 from mphygs.extend import __main__ as extend
 from mphygs.fit import __main__ as fit
+from mphygs.fit.run import load_run
 from mphygs.report import __main__ as command
 from mphygs.report.html import falling_errors, script_data, table
 from mphygs.report.motion_data import LARGEST_FRAME_COUNT, motion_document, quantise, restore
@@ -65,6 +73,56 @@ def test_browser_shows_the_turning_view(reported: Path, tmp_path: Path) -> None:
     assert 'max="' + str(FRAMES - 1) + '"' in dom
     assert "frame 0, 0.000 s, fitted" in dom
     assert dom.count("<option") == 2
+
+
+@pytest.fixture(scope="module")
+def with_force(reported: Path) -> Path:
+    """The report of a run with a missing force: 2 N/kg up on two places in frames 1 to 15 of `swing`."""
+    folder = reported.parent
+    frames = np.arange(1, 16)
+    place = np.tile([[0.02, 0.006, 0.012], [0.05, 0.006, 0.012]], (15, 1, 1))
+    force = np.zeros((15, 2, 3))
+    force[..., 2] = 2.0
+    sample = ForceSample(
+        "swing", force, place, -0.1 * force, np.array([1e-3, 1e-3]), np.array([0, 0]), ("bar",), frames
+    )
+    term = Term(0, "e_z", "m/s^2", 2.0, 0.1, 0.95, ("v",))
+    explained = Explained(Formula((term,), 0.9, ()), (Feature("uniform", None, (2.0,)),))
+    missing = MissingForce(load_run(folder).belief, {}, 900.0, 100.0, 100, 1.0)
+    found = Unexplained(missing, (sample,), explained, ("bar",))
+    keep_missing_force(found, folder)
+    diagnosis = {
+        "verdict": "unknown", "effects": [], "ranking": [], "missing_force": found.document(), "advice": "",
+    }  # fmt: skip
+    (folder / "diagnosis.json").write_text(json.dumps(plain(diagnosis)))
+    out = folder / "force.html"
+    answer(command.main, folder, "--out", out)
+    keep_missing_force(None, folder)
+    (folder / "diagnosis.json").unlink()
+    return out
+
+
+def test_missing_force_is_told_with_readings_and_formula(with_force: Path) -> None:
+    text = with_force.read_text(encoding="utf-8")
+    section = text[text.index('<section id="force">') : text.index('<section id="commands">')]
+    for words in ("2 N/kg (rms)", "dissipative", "formula [N/kg]: 2 e_z", "not told apart from v"):
+        assert words in section, words
+    assert text.count('"arrows":') == 1, "of one of the two sequences"
+    assert '"arrow_count": 2' in text
+
+
+def test_browser_draws_the_missing_force_over_time(with_force: Path, tmp_path: Path) -> None:
+    text = with_force.read_text(encoding="utf-8")
+    for frame, count in ((5, 2), (20, 0)):
+        script = (
+            "<script>const s = document.querySelector('[data-role=time]'); "
+            f"s.value = '{frame}'; s.dispatchEvent(new Event('input'));</script></body>"
+        )
+        page = tmp_path / f"{frame}.html"
+        page.write_text(text.replace("</body>", script), encoding="utf-8")
+        dom = look(page, "--dump-dom", folder=tmp_path / "profile")
+        drawn = re.search(r'<div class="viewer" id="viewer"[^>]*data-arrows="(\d+)"', dom)
+        assert drawn.group(1) == str(count)
 
 
 def test_browser_shows_points_and_moves_with_time(reported: Path, tmp_path: Path) -> None:

@@ -14,6 +14,12 @@ import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
 from mphygs.diagnose.document import advice, diagnosis_text, ranking_document
+from mphygs.diagnose.missing_force_document import (
+    Unexplained,
+    keep_missing_force,
+    missing_force_text,
+    unexplained,
+)
 from mphygs.diagnose.rank import Ranking, allowance_of, rank
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.step import Step
@@ -37,6 +43,8 @@ class DiagnoseOptions(CommonOptions):
     """Run folder."""
     effects: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
     """Candidates; default: every known effect and fault."""
+    force: bool = False
+    """Find the missing force also where named effects explain the misfit."""
     workers: int | None = None
     """Simulations side by side; default: one a core. Changes no number."""
 
@@ -72,9 +80,16 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         ranking = found.rankings[0]
     else:
         ranking = _ranking(experiment, first, spacing, state.seed, candidates, console)
-    document = diagnosis_document(found, ranking, experiment)
+    missing = None
+    if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
+        missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
+    keep_missing_force(missing, state.folder)
+    document = diagnosis_document(found, ranking, experiment, missing)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
-    return Answer(document, "\n".join(diagnosis_text(plain(document))))
+    lines = diagnosis_text(plain(document))
+    if missing is not None:
+        lines += ["", *missing_force_text(document["missing_force"], state.capture, state.folder)]
+    return Answer(document, "\n".join(lines))
 
 
 def _ranking(
@@ -99,7 +114,9 @@ def _ranking(
     )
 
 
-def diagnosis_document(found: Discovery, ranking: Ranking, experiment: Experiment) -> dict[str, object]:
+def diagnosis_document(
+    found: Discovery, ranking: Ranking, experiment: Experiment, missing: Unexplained | None = None
+) -> dict[str, object]:
     """The JSON of a diagnosis."""
     sigma = float(np.sqrt(np.mean([o.sigma**2 for o in experiment.observations.values()])))
     entries = ranking_document(ranking, sigma)
@@ -107,7 +124,7 @@ def diagnosis_document(found: Discovery, ranking: Ranking, experiment: Experimen
         "verdict": found.verdict,
         "effects": list(found.effects),
         "ranking": entries,
-        "missing_force": None,
+        "missing_force": None if missing is None else missing.document(),
         "advice": advice(found.verdict, found.effects, entries, found.warnings),
     }
 

@@ -18,6 +18,7 @@ from mphygs.compare.__main__ import comparison_document
 from mphygs.compare.assess import Compared
 from mphygs.compare.pictures import sequence_figure
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
+from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
 from mphygs.extend.__main__ import DOCUMENT as STEPS
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import chosen_names, experiment_of
@@ -58,10 +59,13 @@ def report(options: ReportOptions, console: Console) -> Answer:
     compared = experiment.compare(belief, spacing, names=wanted, refine=True, report=console.say)
     assessment = experiment.assess(compared)
     motions, pictures = {}, {}
+    diagnosis = _optional(state.folder / DIAGNOSIS)
+    told = None if diagnosis is None else diagnosis.get("missing_force")
+    forces = load_samples(state.folder, wanted) if told else {}
     for number, name in enumerate(wanted):
         console.progress((number + 1) / (len(wanted) + 1), f"drawing {name}")
         known = experiment.with_release(belief, name, spacing)
-        motions[name] = motion_of(experiment, known, name, state)
+        motions[name] = motion_of(experiment, known, name, state, forces.get(name))
         pictures[name] = _picture(experiment, compared[name], name)
     contents = Contents(
         run=state,
@@ -71,7 +75,8 @@ def report(options: ReportOptions, console: Console) -> Answer:
         pictures=pictures,
         motions=plain(motions),
         commands=commands_of(state),
-        diagnosis=_optional(state.folder / DIAGNOSIS),
+        diagnosis=diagnosis,
+        force=missing_force_text(told, state.capture, state.folder) if told else (),
         steps=_optional(state.folder / STEPS),
     )
     out = options.out or state.folder / "report.html"
@@ -80,8 +85,14 @@ def report(options: ReportOptions, console: Console) -> Answer:
     return Answer({"run": str(state.folder), "report": str(out)}, f"report: {out}")
 
 
-def motion_of(experiment: Experiment, belief: Belief, name: str, state: Run) -> dict[str, object]:
-    """One sequence for the viewer, over all its frames."""
+def motion_of(
+    experiment: Experiment,
+    belief: Belief,
+    name: str,
+    state: Run,
+    force: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+) -> dict[str, object]:
+    """One sequence for the viewer, over all its frames. force: see `motion_document`."""
     recording = experiment.capture.sequence(name)
     surface = surface_points(experiment.capture)
     prediction, markers = predict_points(experiment, belief, recording, surface)
@@ -96,6 +107,7 @@ def motion_of(experiment: Experiment, belief: Belief, name: str, state: Run) -> 
         surface_part=surface.part,
         normals=surface.normal,
         fit=state.ranges.get(name, (0, 0)),
+        force=force,
     )
 
 

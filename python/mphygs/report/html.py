@@ -17,6 +17,7 @@ CONTROLS = """<div class="controls">
 <label><input data-role="surface" type="checkbox" checked> surface</label>
 <label><input data-role="measured" type="checkbox" checked> measured (rings)</label>
 <label><input data-role="predicted" type="checkbox" checked> predicted (dots)</label>
+<label data-role="force-label" hidden><input data-role="force" type="checkbox" checked> missing force</label>
 <label><input data-role="turn" type="checkbox"> turn</label>
 </div>"""
 

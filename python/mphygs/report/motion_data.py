@@ -8,6 +8,8 @@ import numpy as np
 
 # Frames that a page carries of one sequence; longer ones are thinned out.
 LARGEST_FRAME_COUNT = 160
+# Of the longest arrow, beside the extent of the motion.
+ARROW = 0.15
 # The 16-bit number of a value that was not measured, and the largest that is one.
 MISSING, LARGEST = -32768, 32767
 
@@ -36,11 +38,13 @@ def motion_document(
     surface_part: np.ndarray,
     normals: np.ndarray,
     fit: tuple[int, int],
+    force: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
 ) -> dict[str, object]:
     """One sequence for the viewer.
 
     measured, predicted: (T, M, 3) [m]; surface: (T, S, 3) [m], predicted; surface_part: (S,) index; normals:
-    (S, 3) at rest; fit: frames fitted. Raises ValueError where the shapes do not belong together.
+    (S, 3) at rest; fit: frames fitted; force: frames (K,), places (K, C, 3) [m] and missing force (K, C, 3)
+    [N/kg] there. Raises ValueError where the shapes do not belong together.
     """
     if measured.shape != predicted.shape or len(surface) != len(predicted):
         raise ValueError(
@@ -49,10 +53,15 @@ def motion_document(
     stride = max(1, -(-len(predicted) // LARGEST_FRAME_COUNT))
     shown = np.arange(0, len(predicted), stride)
     everything = np.concatenate([predicted[shown], surface[shown]], axis=1).reshape(-1, 3)
+    arrows = None
+    if force is not None:
+        arrows = _arrows(force, len(predicted), float(np.ptp(everything, axis=0).max()))[shown]
+        everything = np.concatenate([everything, arrows.reshape(-1, 3)])
+        everything = everything[np.isfinite(everything).all(1)]
     margin = 0.02 * np.ptp(everything, axis=0).max()
     low, high = everything.min(0) - margin, everything.max(0) + margin
     # A measurement that is far off stays at the rim of the box.
-    return {
+    document = {
         "fps": fps,
         "frames": shown.tolist(),
         "low": low.tolist(),
@@ -66,3 +75,25 @@ def motion_document(
         "normals": np.round(normals, 3).tolist(),
         "fit": list(fit),
     }
+    if arrows is not None and force is not None:
+        largest = float(np.linalg.norm(force[2], axis=2).max(initial=0.0))
+        document |= {
+            "arrows": quantise(arrows, low, high),
+            "arrow_count": arrows.shape[1],
+            "largest_force": largest,
+        }
+    return document
+
+
+def _arrows(
+    force: tuple[np.ndarray, np.ndarray, np.ndarray], frames: int, extent: float
+) -> np.ndarray:
+    """(T, C, 2, 3) foot and tip of every arrow [m], NaN in frames without a force."""
+    at, place, value = force
+    longest = float(np.linalg.norm(value, axis=2).max(initial=0.0))
+    scale = ARROW * extent / longest if longest > 0.0 else 0.0
+    arrows = np.full((frames, place.shape[1], 2, 3), np.nan)
+    known = at < frames
+    arrows[at[known], :, 0] = place[known]
+    arrows[at[known], :, 1] = (place + scale * value)[known]
+    return arrows

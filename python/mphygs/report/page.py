@@ -18,7 +18,8 @@ class Contents:
     """All that a page tells.
 
     parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run;
-    pictures: .png by sequence; motions: for the viewer by sequence; commands: that made it.
+    pictures: .png by sequence; motions: for the viewer by sequence; commands: that made it; force: what is
+    said of the missing force, line by line.
     """
 
     run: Run
@@ -30,6 +31,7 @@ class Contents:
     commands: Sequence[str]
     diagnosis: Mapping[str, object] | None = None
     steps: Mapping[str, object] | None = None
+    force: Sequence[str] = ()
 
 
 def page(contents: Contents) -> str:
@@ -208,7 +210,20 @@ def _force(contents: Contents) -> str:
     found = None if contents.diagnosis is None else contents.diagnosis.get("missing_force")
     if not found:
         return '<p class="quiet">Not computed: it is where named effects do not explain the misfit.</p>'
-    rows = [
-        [key, value if isinstance(value, (int, float, str)) else str(value)] for key, value in found.items()
+    said = f"<pre>{escape(chr(10).join(contents.force))}</pre>" if contents.force else ""
+    where = [[entry["part"], entry["rms"], entry["share"]] for entry in found["where"]]
+    when = [
+        [entry["sequence"], f"{entry['frames'][0]} to {entry['frames'][1] - 1}", entry["rms"]]
+        for entry in found["when"]
     ]
-    return table(["missing force", ""], rows)
+    terms = [
+        [term["expression"], term["coefficient"], term["std"], term["unit"], term["stability"]]
+        for term in found["terms"]
+    ]
+    pieces = [said, "<p>Arrows in the view above show it over time, on the fitted frames.</p>"]
+    pieces.append(table(["part", "rms N/kg", "share of the square"], where))
+    pieces.append(table(["sequence", "frames with half of the square", "rms N/kg"], when))
+    if terms:
+        head = ["term", "coefficient", "standard error", "unit", "chosen in this share of the resamples"]
+        pieces.append(table(head, terms))
+    return "\n".join(pieces)

@@ -6,7 +6,8 @@ function mphygsViewer(root, data) {
   const pick = (name) => root.querySelector(`[data-role="${name}"]`);
   const canvas = pick("canvas"), slider = pick("time"), label = pick("label"), select = pick("sequence");
   const play = pick("play"), turn = pick("turn");
-  const shown = { surface: pick("surface"), measured: pick("measured"), predicted: pick("predicted") };
+  const shown = { surface: pick("surface"), measured: pick("measured"), predicted: pick("predicted"),
+    force: pick("force") };
   const view = { yaw: -0.9, pitch: 0.35, zoom: 1.0 };
   let motion = null, playing = false, last = 0;
 
@@ -27,7 +28,9 @@ function mphygsViewer(root, data) {
       measured: unpack(given.measured, given.low, given.high),
       predicted: unpack(given.predicted, given.low, given.high),
       surface: unpack(given.surface, given.low, given.high),
+      arrows: given.arrows ? unpack(given.arrows, given.low, given.high) : null,
     };
+    pick("force-label").hidden = !motion.arrows;
     const size = motion.high.map((h, a) => h - motion.low[a]);
     motion.centre = motion.low.map((l, a) => l + 0.5 * size[a]);
     motion.reach = Math.hypot(...size);
@@ -55,7 +58,7 @@ function mphygsViewer(root, data) {
       const [u, w, d] = turned(...[0, 1, 2].map((a) => list[3 * i + a] - motion.centre[a]));
       return [0.5 * width + gain * u, 0.5 * height - gain * w, d];
     };
-    let drawn = 0;
+    let drawn = 0, arrows = 0;
     if (shown.surface.checked) {
       const points = [];
       for (let k = 0; k < motion.points; k++) {
@@ -97,9 +100,31 @@ function mphygsViewer(root, data) {
         drawn++;
       }
     }
+    if (motion.arrows && shown.force.checked) {
+      pen.strokeStyle = pen.fillStyle = "#1f4fd1";
+      pen.lineWidth = 2;
+      for (let k = 0; k < motion.arrow_count; k++) {
+        const i = 2 * (at * motion.arrow_count + k);
+        if (Number.isNaN(motion.arrows[3 * i])) continue;
+        const [ax, ay] = project(motion.arrows, i), [bx, by] = project(motion.arrows, i + 1);
+        const length = Math.hypot(bx - ax, by - ay);
+        if (length < 1) continue;
+        const ux = (bx - ax) / length, uy = (by - ay) / length, head = Math.min(6, 0.5 * length);
+        pen.beginPath();
+        pen.moveTo(ax, ay);
+        pen.lineTo(bx, by);
+        pen.lineTo(bx - head * (ux + 0.5 * uy), by - head * (uy - 0.5 * ux));
+        pen.moveTo(bx, by);
+        pen.lineTo(bx - head * (ux - 0.5 * uy), by - head * (uy + 0.5 * ux));
+        pen.stroke();
+        arrows++;
+      }
+      pen.lineWidth = 1;
+    }
     const frame = motion.frames[at], fitted = frame >= motion.fit[0] && frame < motion.fit[1];
     label.textContent = `frame ${frame}, ${(frame / motion.fps).toFixed(3)} s, ${fitted ? "fitted" : "not fitted"}`;
     root.dataset.drawn = String(drawn);
+    root.dataset.arrows = String(arrows);
     root.dataset.frame = String(frame);
   }
 

@@ -1,0 +1,147 @@
+"""One sequence's motion under further forces on the nodes, with its derivatives by these forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mphygs.model.belief import Belief
+from mphygs.simulate.fields import core_effects, places
+from mphygs.simulate.prediction import Predictor, Timeline, _measured, acts_in_simulation
+from mphygs.simulate.prediction_gradient import _before_measurement, _onto_nodes
+
+# Of the time between frames: the difference that gives the slope by a release.
+RELEASE_STEP = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class ForcedMotion:
+    """A run and what it was made of.
+
+    force: (T, N, 3) [N]; fields: of the core; displacement [m], velocity [m/s]: (F + 1, N, 3) of the nodes at
+    the start and at the moving frames; position: (T, M, 3) [m] of the markers as they are measured.
+    """
+
+    belief: Belief
+    timeline: Timeline
+    force: np.ndarray
+    fields: dict[str, np.ndarray]
+    displacement: np.ndarray
+    velocity: np.ndarray
+    position: np.ndarray
+
+    @property
+    def spans(self) -> np.ndarray:
+        """(F,) length of the intervals that end at the moving frames [s]."""
+        return self.timeline.schedule["dt"] * self.timeline.schedule["steps"]
+
+
+class ForcedSequence:
+    """Frames 0 to last - 1 of one sequence, with forces held constant between frames.
+
+    A force is (T, N, 3) [N]: row t acts on the nodes in the interval that ends at frame t.
+    """
+
+    def __init__(self, predictor: Predictor, last: int) -> None:
+        self.predictor, self.last = predictor, last
+
+    def model(self, belief: Belief) -> object:
+        """The compiled model."""
+        return self.predictor.model(core_effects(belief), places(belief), belief.law)
+
+    def timeline(self, belief: Belief) -> Timeline:
+        """Frames and substeps at a belief."""
+        key = self._release_key
+        shift = belief[key].value if key in belief else 0.0
+        return self.predictor.timeline(self.last, self.predictor.stable_substep(belief), shift)
+
+    @property
+    def _release_key(self) -> str:
+        return f"{self.predictor.recording.name}.release_shift"
+
+    def run(self, belief: Belief, force: np.ndarray) -> ForcedMotion:
+        """Simulate. Raises SimulationError where the run is unstable."""
+        predictor, model = self.predictor, self.model(belief)
+        timeline = self.timeline(belief)
+        fields = predictor.inputs(belief, timeline, model)
+        fields["node_force"] = force[timeline.moving] + fields.get("node_force", 0.0)
+        hook = predictor._hook(belief, fields)
+        u, v = (np.asarray(a, float) for a in model.simulate(fields, timeline.schedule, None, hook))
+        position, velocity = predictor._observe((u, v), timeline)
+        times = timeline.frames / predictor.recording.fps
+        none = np.zeros((*position.shape, 0))
+        position, *_ = _measured(belief, [], times, position, velocity, none)
+        return ForcedMotion(belief, timeline, force, fields, u, v, position)
+
+    def gradient(
+        self, motion: ForcedMotion, position_bar: np.ndarray, keys: Sequence[str] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient of a loss by the forces, (T, N, 3), and by the coordinates of `keys`, (K,).
+
+        position_bar: derivative of the loss by the marker positions, (T, M, 3); keys: parameters that act in
+        the simulation. One checkpointed adjoint run.
+        """
+        predictor, belief, timeline = self.predictor, motion.belief, motion.timeline
+        model = self.model(belief)
+        times = timeline.frames / predictor.recording.fps
+        bars = _onto_nodes(
+            predictor, timeline, *_before_measurement(belief, times, position_bar), model.node_count,
+            lambda: motion.displacement,
+        )  # fmt: skip
+        hook = predictor._hook(belief, motion.fields)
+        found, _ = model.adjoint(motion.fields, timeline.schedule, *bars, None, hook)
+        slopes = []
+        parameters = [belief[key] for key in keys]
+        changes = predictor.changes(belief, [(belief, p) for p in parameters])
+        for parameter, change in zip(parameters, changes, strict=True):
+            slope = sum(
+                float(np.vdot(found[n], np.asarray(c, float).ravel()))
+                for n, c in change.items()
+                if found[n].size
+            )
+            if hook is not None:
+                slope += hook.slope(parameter, change.get("mass"))
+            slopes.append(slope)
+        force_bar = np.zeros(motion.force.shape)
+        force_bar[timeline.moving] = found["node_force"].reshape(-1, *motion.force.shape[1:])
+        return force_bar, np.array(slopes)
+
+    def tangents(
+        self, motion: ForcedMotion, forces: Sequence[np.ndarray] = (), keys: Sequence[str] = ()
+    ) -> np.ndarray:
+        """Change of the measured marker positions, (T, M, 3, K + P), by K forces, each (T, N, 3) [N], and by
+        the coordinates of P parameters."""
+        predictor, belief, timeline = self.predictor, motion.belief, motion.timeline
+        wanted = [(belief, belief[key]) for key in keys]
+        simulated = [pair for pair in wanted if acts_in_simulation(pair[1])]
+        # The parameters come first: effects in Python look theirs up by place.
+        directions = [*predictor.changes(belief, simulated)]
+        hook = predictor._hook(belief, motion.fields, simulated, directions)
+        directions += [{"node_force": force[timeline.moving]} for force in forces]
+        out = np.zeros((*motion.position.shape, len(forces) + len(keys)))
+        value = (motion.displacement, motion.velocity)
+        slots = [len(forces) + k for k, (_, p) in enumerate(wanted) if acts_in_simulation(p)]
+        slots += range(len(forces))
+        if directions:
+            model = self.model(belief)
+            _, *found = model.tangent(motion.fields, directions, timeline.schedule, None, hook)
+            for slot, one in zip(slots, found, strict=True):
+                out[..., slot] = predictor._observe_tangent(value, one, timeline)
+        times = timeline.frames / predictor.recording.fps
+        seen = predictor._observe(value, timeline)
+        *_, out[..., len(forces) :] = _measured(belief, wanted, times, *seen, out[..., len(forces) :])
+        for slot, key in enumerate(keys):
+            if key == self._release_key:
+                out[..., len(forces) + slot] = self._release_slope(motion)
+        return out
+
+    def _release_slope(self, motion: ForcedMotion) -> np.ndarray:
+        """By a difference: the release moves the start, which the core does not differentiate."""
+        parameter = motion.belief[self._release_key]
+        step = RELEASE_STEP / self.predictor.recording.fps
+        if parameter.value + step > parameter.upper:
+            step = -step
+        moved = motion.belief.with_parameter(parameter.key, value=parameter.value + step)
+        return (self.run(moved, motion.force).position - motion.position) / step * parameter.slope
