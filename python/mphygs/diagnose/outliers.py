@@ -13,6 +13,8 @@ WHOLE = 0.2
 # A track that is lost deviates by more than this share of its neighbours' own misfit; a single wrong
 # measurement jumps by this share of its deviation.
 STANDS_OUT, JUMP = 0.7, 0.6
+# ... and is this many times as large as its neighbours' misfit: a fast motion that is missed jumps as well.
+WELL_ABOVE = 3.0
 # More than this share of all markers is no longer a matter of single tracks.
 LARGEST_SHARE = 0.2
 SMALLEST_SHARE = 0.002
@@ -42,7 +44,7 @@ def bad_observations(residual: np.ndarray, at: np.ndarray, sigma: float) -> np.n
     level = np.nan_to_num(np.abs(middle).max(-1))
     often = (bad & (gap > STANDS_OUT * level)).mean(0) > WHOLE
     # A single wrong measurement is a jump in time too; a misfit of the physics is not.
-    bad &= _jumps(residual) > JUMP * gap
+    bad &= (_jumps(residual) > JUMP * gap) & (gap > WELL_ABOVE * level)
     bad[:, often] = True
     # A handful of points beside a wall, say, is physics; a broken tracker breaks more often.
     few = bad.mean() < SMALLEST_SHARE and not often.any()

@@ -68,7 +68,7 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
     spots = places(belief)
     if len(spots):
         free |= {"places": spots, "place_cell": body.nearest_cell(spots)}
-    model = _lumped(free, {"active": list(core_effects(belief)), "law": belief.law})
+    model = _core.TotalLagrangianFloat64(free, {"active": list(core_effects(belief)), "law": belief.law})
     fields = primal(belief, body)
     if belief.prestress == "equilibrium":
         solution = predictor.rest_shape.solve(belief)
@@ -92,14 +92,6 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
     slowed = accelerations([{"velocity0": s} for s in np.moveaxis(shape, -1, 0)])
     damping = -np.einsum("n,nci,jnc->ij", mass, shape, slowed)
     return Modes(shape, squared, damping, mass)
-
-
-def _lumped(geometry: dict, settings: dict) -> object:
-    """The model in double precision with lumped inertia, so that accelerations times masses are forces."""
-    try:
-        return _core.TotalLagrangianFloat64(geometry, settings | {"corrected_inertia": False})
-    except KeyError:  # a core that knows no other inertia
-        return _core.TotalLagrangianFloat64(geometry, settings)
 
 
 def _lowest(
