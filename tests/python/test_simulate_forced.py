@@ -71,7 +71,8 @@ def test_modes_tell_what_a_force_does(forced: ForcedSequence) -> None:
     force[2:5, :, 1] = modes.mass
     motion = forced.run(belief, np.zeros_like(force))
     exact = forced.tangents(motion, [force])[..., 0]
-    free, node, weight, *_ = forced.predictor.marker_weights()
+    carriers = forced.predictor.carriers
+    free, node, weight = carriers.free, carriers.index, carriers.value
     modal = np.einsum("tnc,ncj->tj", force, modes.shape)[1:, :, None]
     amplitude = modes.response(modal, motion.spans)[..., 0]
     found = np.einsum("mk,mkcj,tj->tmc", weight, modes.shape[node], amplitude)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from mphygs.fit.schedule import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import primal
+from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 
 NUMBERS, PLUGIN = "missing-force.safetensors", "missing_force.py"
 # A force that takes away less than this share of the misfit is no force: nothing is told of it.
@@ -99,9 +100,13 @@ def unexplained(
 ) -> Unexplained | None:
     """The force that a fitted model lacks on the fitted frames, with its formula.
 
-    On the screening grid, where the model's is finer: what is sought is coarse. None where the model cannot
-    be simulated there, or where no force explains what is left.
+    On the screening grid, where the model's is finer: what is sought is coarse; by the total-Lagrangian
+    transfer, whatever the model's. None where the model cannot be simulated there, or where no force explains
+    what is left.
     """
+    if experiment.settings.transfer != TOTAL_LAGRANGIAN:
+        settings = replace(experiment.settings, transfer=TOTAL_LAGRANGIAN)
+        experiment = replace(experiment, settings=settings, problems={}, observations={})
     problem = experiment.problem(max(spacing, screening_spacing(experiment.capture)))
     try:
         missing = missing_force(problem, belief, report=report)

@@ -94,7 +94,8 @@ class Channels:
     def of(cls, seen: SeenForce, belief: Belief) -> Channels:
         predictor = seen.forced.predictor
         modes = natural_modes(predictor, belief, MODES)
-        free, node, value, *_ = predictor.marker_weights()
+        carriers = predictor.carriers
+        free, node, value = carriers.free, carriers.index, carriers.value
         observed = seen.observation.observed[seen.first : seen.last, free]
         shown = np.sqrt(observed.mean(0))
         markers = np.einsum("mk,mkcj->mcj", value, modes.shape[node]) * shown[:, None, None]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mphygs.model.belief import Belief
-from mphygs.simulate.fields import core_effects, places
-from mphygs.simulate.prediction import Predictor, Timeline, _measured, acts_in_simulation
-from mphygs.simulate.prediction_gradient import _before_measurement, _onto_nodes
+from mphygs.simulate.measurement import before_measurement, measured
+from mphygs.simulate.prediction import Predictor, acts_in_simulation
+from mphygs.simulate.timeline import Timeline
 
 # Of the time between frames: the difference that gives the slope by a release.
 RELEASE_STEP = 0.05
@@ -49,13 +49,11 @@ class ForcedSequence:
 
     def model(self, belief: Belief) -> object:
         """The compiled model."""
-        return self.predictor.model(core_effects(belief), places(belief), belief.law)
+        return self.predictor.model_of(belief)
 
     def timeline(self, belief: Belief) -> Timeline:
         """Frames and substeps at a belief."""
-        key = self._release_key
-        shift = belief[key].value if key in belief else 0.0
-        return self.predictor.timeline(self.last, self.predictor.stable_substep(belief), shift)
+        return self.predictor.timeline(belief, self.last, self.predictor.stable_substep(belief))
 
     @property
     def _release_key(self) -> str:
@@ -65,14 +63,14 @@ class ForcedSequence:
         """Simulate. Raises SimulationError where the run is unstable."""
         predictor, model = self.predictor, self.model(belief)
         timeline = self.timeline(belief)
-        fields = predictor.inputs(belief, timeline, model)
+        fields = predictor.inputs(belief, timeline)
         fields["node_force"] = force[timeline.moving] + fields.get("node_force", 0.0)
         hook = predictor._hook(belief, fields)
         u, v = (np.asarray(a, float) for a in model.simulate(fields, timeline.schedule, None, hook))
-        position, velocity = predictor._observe((u, v), timeline)
+        position, velocity = predictor.carriers.observe((u, v), timeline, predictor.recording)
         times = timeline.frames / predictor.recording.fps
         none = np.zeros((*position.shape, 0))
-        position, *_ = _measured(belief, [], times, position, velocity, none)
+        position, *_ = measured(belief, [], times, position, velocity, none)
         return ForcedMotion(belief, timeline, force, fields, u, v, position)
 
     def gradient(
@@ -86,10 +84,9 @@ class ForcedSequence:
         predictor, belief, timeline = self.predictor, motion.belief, motion.timeline
         model = self.model(belief)
         times = timeline.frames / predictor.recording.fps
-        bars = _onto_nodes(
-            predictor, timeline, *_before_measurement(belief, times, position_bar), model.node_count,
-            lambda: motion.displacement,
-        )  # fmt: skip
+        states = (motion.displacement, motion.velocity)
+        seen = before_measurement(belief, times, position_bar)
+        bars = predictor.carriers.observe_adjoint(states, timeline, *seen, model.node_count)
         hook = predictor._hook(belief, motion.fields)
         found, _ = model.adjoint(motion.fields, timeline.schedule, *bars, None, hook)
         slopes = []
@@ -128,10 +125,10 @@ class ForcedSequence:
             model = self.model(belief)
             _, *found = model.tangent(motion.fields, directions, timeline.schedule, None, hook)
             for slot, one in zip(slots, found, strict=True):
-                out[..., slot] = predictor._observe_tangent(value, one, timeline)
+                out[..., slot] = predictor.carriers.observe_tangent(value, one, timeline)
         times = timeline.frames / predictor.recording.fps
-        seen = predictor._observe(value, timeline)
-        *_, out[..., len(forces) :] = _measured(belief, wanted, times, *seen, out[..., len(forces) :])
+        seen = predictor.carriers.observe(value, timeline, predictor.recording)
+        *_, out[..., len(forces) :] = measured(belief, wanted, times, *seen, out[..., len(forces) :])
         for slot, key in enumerate(keys):
             if key == self._release_key:
                 out[..., len(forces) + slot] = self._release_slope(motion)
