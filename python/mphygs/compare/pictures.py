@@ -14,7 +14,6 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import frame_masks
 
 MEASURED, PREDICTED, FITTED_SHADE = "#333333", "#d1495b", "#e8f0e4"
-CURVES = 2
 # Width of the noise band, in standard deviations to either side.
 BAND = 2.0
 
@@ -30,6 +29,16 @@ def moving_most(measured: np.ndarray, count: int) -> list[tuple[int, int]]:
     spread[seen] = (high.max(0) - low.min(0))[seen]
     order = np.argsort(-spread.max(1), kind="stable")[:count]
     return [(int(m), int(spread[m].argmax())) for m in order]
+
+
+def farthest_off(compared: Compared) -> tuple[int, int]:
+    """(marker, coordinate) of the largest root mean square misfit over the compared frames."""
+    window = slice(*compared.frames)
+    squares = (compared.observation.position[window] - compared.predicted[window]) ** 2
+    count = np.isfinite(squares).sum(0)
+    mean = np.nan_to_num(squares).sum(0) / np.maximum(count, 1)
+    marker, coordinate = np.unravel_index(int(mean.argmax()), mean.shape)
+    return int(marker), int(coordinate)
 
 
 def part_residual(compared: Compared, part: int) -> np.ndarray:
@@ -110,7 +119,7 @@ def _spectrum(axes: Axes, compared: Compared, fps: float, marker: int, coordinat
         if np.isfinite(curve).sum() > 3:
             frequency, amplitude = spectrum(curve, fps)
             axes.semilogy(frequency[1:], 1e3 * amplitude[1:], color=colour, lw=1.0, label=label)
-    axes.set(title="spectrum of the first curve", xlabel="Hz", ylabel="amplitude mm")
+    axes.set(title="spectrum of the second curve", xlabel="Hz", ylabel="amplitude mm")
     axes.legend(fontsize=7, loc="best")
 
 
@@ -131,15 +140,14 @@ def sequence_figure(
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
     window = slice(*compared.frames)
-    chosen = moving_most(compared.observation.position[window], CURVES)
-    for place, (marker, coordinate) in zip((axes[0, 0], axes[0, 1]), chosen, strict=False):
+    off = farthest_off(compared)
+    chosen = {"largest motion": moving_most(compared.observation.position[window], 1)[0], "farthest off": off}
+    for place, (what, (marker, coordinate)) in zip((axes[0, 0], axes[0, 1]), chosen.items(), strict=True):
         label = labels[marker] if len(labels) else f"marker {marker}"
-        _curve(place, compared, fps, marker, coordinate, label)
-    if len(chosen) < CURVES:
-        axes[0, 1].set_axis_off()
+        _curve(place, compared, fps, marker, coordinate, f"{what}: {label}")
     _residual(axes[1, 0], compared, fps, parts)
     _field(figure, axes[1, 1], compared, at)
-    _spectrum(axes[0, 2], compared, fps, *chosen[0])
+    _spectrum(axes[0, 2], compared, fps, *off)
     difference = (compared.observation.position - compared.predicted)[window]
     values = difference[np.isfinite(difference)] / compared.observation.sigma
     reach = max(4.0, float(np.abs(values).max(initial=0.0)))
