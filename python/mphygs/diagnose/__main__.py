@@ -22,7 +22,7 @@ from mphygs.diagnose.missing_force_document import (
 )
 from mphygs.diagnose.rank import Ranking, allowance_of, rank
 from mphygs.extend.discover import Discovery, discover
-from mphygs.extend.step import Step
+from mphygs.extend.step import Step, excess
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
@@ -119,7 +119,14 @@ def diagnosis_document(
 ) -> dict[str, object]:
     """The JSON of a diagnosis."""
     sigma = float(np.sqrt(np.mean([o.sigma**2 for o in experiment.observations.values()])))
-    entries = ranking_document(ranking, sigma)
+    first = next((step for step in found.steps if step.refits), None)
+    refitted, ties = {}, {}
+    if first is not None:
+        best = first.added[0]
+        order = sorted(first.refits, key=lambda r: (r.entry.effect != best, excess(r.assessment)))
+        refitted = {r.entry.effect: float(r.actual_drop) for r in order}
+        ties = {best: first.ties}
+    entries = ranking_document(ranking, sigma, refitted=refitted, ties=ties)
     return {
         "verdict": found.verdict,
         "effects": list(found.effects),

@@ -11,8 +11,23 @@ from mphygs.diagnose.rank import Ranking
 SHOWN = 8
 
 
-def ranking_document(ranking: Ranking, sigma: float) -> list[dict[str, object]]:
-    """Candidates, the best first. sigma: of one coordinate of the markers [m]."""
+def ranking_document(
+    ranking: Ranking,
+    sigma: float,
+    *,
+    refitted: Mapping[str, float] | None = None,
+    ties: Mapping[str, Sequence[str]] | None = None,
+) -> list[dict[str, object]]:
+    """Candidates, the best first. sigma: of one coordinate of the markers [m].
+
+    refitted: effects that were really put into the model, the best first, with the actual fall of chi^2: they
+    come before those that were only scored; ties: effects that refits could not tell from an effect.
+    """
+    actual, alike = refitted or {}, ties or {}
+    order = list(actual)
+    entries = sorted(
+        ranking.entries, key=lambda e: order.index(e.effect) if e.effect in actual else len(order)
+    )
     return [
         {
             "effect": entry.effect,
@@ -21,13 +36,14 @@ def ranking_document(ranking: Ranking, sigma: float) -> list[dict[str, object]]:
             "p_value": entry.p_value,
             "expected_rms": entry.expected_ratio * sigma * np.sqrt(3.0),
             "estimate": dict(entry.estimate),
-            "confounded_with": list(entry.confounded_with),
+            "confounded_with": list(dict.fromkeys([*alike.get(entry.effect, ()), *entry.confounded_with])),
             "std": dict(entry.std),
             "way": entry.label,
             "reason": entry.reason,
             "detectable": entry.detectable,
+            "refitted": actual.get(entry.effect),
         }
-        for entry in ranking.entries
+        for entry in entries
     ]
 
 
@@ -63,7 +79,8 @@ def diagnosis_text(document: Mapping[str, object]) -> list[str]:
     for entry in document["ranking"][:SHOWN]:
         numbers = ", ".join(f"{k} {v:.4g}" for k, v in entry["estimate"].items())
         lines.append(
-            f"  {entry['way']}: chi^2 falls by {entry['statistic']:.1f}, p {entry['p_value']:.2g}, "
+            f"  {entry['way']}: chi^2 would fall by {entry['statistic']:.1f}, p {entry['p_value']:.2g}, "
             f"rms would be {1e3 * entry['expected_rms']:.3f} mm ({numbers})"
+            + (f"; refitted: falls by {entry['refitted']:.1f}" if entry["refitted"] is not None else "")
         )
     return [*lines, "", document["advice"]]

@@ -248,6 +248,7 @@ def settled(
 
     What reaches the floor as well cannot be told from it.
     """
+    tried = best.refits
     best = refined(experiment, [*steps, best], report, screening=screening)
     alike = []
     for rival in rivals:
@@ -266,7 +267,7 @@ def settled(
     tied = [best, *(r for r in alike if excess(r.assessment) < limit)]
     # Of models that do alike the one with fewest parameters comes first.
     tied.sort(key=lambda step: (len(step.belief.free), excess(step.assessment)))
-    return replace(tied[0], refits=best.refits, ties=tuple(r.added[0] for r in tied[1:]))
+    return replace(tied[0], refits=tried, ties=tuple(r.added[0] for r in tied[1:]))
 
 
 def discover(
