@@ -26,7 +26,7 @@ from mphygs.simulate.errors import SimulationError
 CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals.
 RIVAL, ALIKE_EXCESS = 2.0, 0.1
-LARGEST_MODEL = 4
+LARGEST_MODEL = 3
 # So many effects are begun to be refitted; so many of them to the end.
 BEGUN, FINISHED = 7, 3
 # An effect predicted to explain less than this share of what the best would is not begun.
