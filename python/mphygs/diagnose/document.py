@@ -42,6 +42,7 @@ def ranking_document(
             "reason": entry.reason,
             "detectable": entry.detectable,
             "refitted": actual.get(entry.effect),
+            "stands_out": entry.stands_out,
         }
         for entry in entries
     ]

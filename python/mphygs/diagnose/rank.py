@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mphygs.compare.allowance import Allowance, modulated_directions
 from mphygs.diagnose.candidates import Way, base_motion_ways, smooth_ways, starting_effect
+from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.power import detectable_length
 from mphygs.diagnose.score import score_candidates
@@ -23,6 +24,8 @@ from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
 MODULATIONS = 6
+# Effects that do nothing, scored beside the candidates.
+DECOYS = 20
 FREQUENCIES = 2
 
 
@@ -30,7 +33,8 @@ FREQUENCIES = 2
 class Entry:
     """One effect in its best way.
 
-    start: belief to refit from; statistic: predicted (trial: actual) drop of chi^2.
+    start: belief to refit from; statistic: predicted (trial: actual) drop of chi^2; stands_out: share of
+    decoys at least as significant.
     """
 
     effect: str
@@ -45,16 +49,21 @@ class Entry:
     confounded_with: tuple[str, ...] = ()
     reason: str = ""
     detectable: float | None = None
+    stands_out: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """entries: best first, one per effect; chi_square, rows: of fitted frames; table: of all smooth ways."""
+    """entries: best first, one per effect; chi_square, rows: of fitted frames; table: of all smooth ways;
+    decoys: how effects that do nothing score on the same data; decoy_statistic: the largest drop of chi^2
+    that one of them predicts."""
 
     entries: tuple[Entry, ...]
     chi_square: float
     rows: int
     table: ScoreTable | None
+    decoys: DecoyCheck | None = None
+    decoy_statistic: float = 0.0
 
 
 def _peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
@@ -79,10 +88,12 @@ def _stack(
     belief: Belief,
     ways: Sequence[Way],
     report: Callable[[str], None] | None,
-) -> tuple:
-    """Whitened Jacobian columns of all ways over the fitted frames, (N, Q), in the order of the ways."""
+    generator: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened Jacobian columns of all ways over the fitted frames, (N, Q), in the order of the ways, and of
+    decoys that are as smooth, (N, DECOYS)."""
     columns = [pair for way in ways for pair in way.columns]
-    blocks, positions = [], {}
+    blocks, decoys = [], []
     for name, (first, last) in problem.ranges.items():
         if report:
             report(f"tangents of {len(columns)} candidate parameters on {name}")
@@ -90,9 +101,13 @@ def _stack(
         whitener = experiment.observations[name].whitener(first, last)
         # Coordinates are values over scales: back to units of the parameter.
         slopes = np.array([p.slope for _, p in columns])
-        blocks.append(whitener.whiten(prediction.jacobian[first:last]) / slopes)
-        positions[name] = prediction.position
-    return np.concatenate(blocks), positions
+        raw = prediction.jacobian[first:last]
+        blocks.append(whitener.whiten(raw) / slopes)
+        if np.any(raw):
+            decoys.append(whitener.whiten(decoy_tangents(raw, DECOYS, generator=generator)))
+        else:
+            decoys.append(np.zeros((len(blocks[-1]), DECOYS)))
+    return np.concatenate(blocks), np.concatenate(decoys)
 
 
 def allowance_of(
@@ -153,7 +168,8 @@ def rank(
         }
         fps = experiment.capture.sequence(first_name).fps
         ways += base_motion_ways(belief, _peaks(misfits[first_name], fps, FREQUENCIES))
-    tangents, _ = _stack(experiment, problem, belief, ways, report)
+    # Decoys draw numbers of their own: the rest is the same with and without them.
+    tangents, fakes = _stack(experiment, problem, belief, ways, report, generator.spawn(1)[0])
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
     candidates, at = [], 0
     for way in ways:
@@ -169,6 +185,7 @@ def rank(
         known = Allowance(directions=padded)
     table = score_candidates(full_residual, full_jacobian, candidates, generator=generator, allowance=known)
     family = simulate_family(table, generator=generator)
+    decoys, decoy_statistic = _decoys(full_residual, full_jacobian, fakes, known, generator.spawn(1)[0])
     best: dict[str, tuple[Way, Score]] = {}
     for way, score in zip(ways, table.scores, strict=True):
         worth = score.drop - 2 * score.parameter_count if score.testable else -np.inf
@@ -178,12 +195,34 @@ def rank(
     names_of = {way.label: way.effect for way in ways}
     entries = []
     for name, (way, score) in best.items():
-        entries.append(_entry(name, way, score, table, family, names_of, belief, rows))
+        entry = _entry(name, way, score, table, family, names_of, belief, rows)
+        entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
     entries += _trials(
         experiment, belief, evaluation, problem, full_residual, full_jacobian, generator, names, report
     )
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
-    return Ranking(tuple(entries), float(residual @ residual), rows, table)
+    chi_square = float(residual @ residual)
+    return Ranking(tuple(entries), chi_square, rows, table, decoys, decoy_statistic)
+
+
+def _decoys(
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    fakes: np.ndarray,
+    allowance: Allowance,
+    generator: np.random.Generator,
+) -> tuple[DecoyCheck | None, float]:
+    """How effects that do nothing score; none where the fitted parameters absorb all of them."""
+    padded = np.vstack([fakes, np.zeros((len(residual) - len(fakes), fakes.shape[1]))])
+    free, null = np.zeros(1, bool), np.zeros(1)
+    candidates = [
+        Candidate(name=f"decoy {k}", tangent=padded[:, [k]], lower_bounded=free, null=null)
+        for k in range(padded.shape[1])
+    ]
+    table = score_candidates(residual, jacobian, candidates, generator=generator, allowance=allowance)
+    if not any(score.testable for score in table.scores):
+        return None, 0.0
+    return check_decoys(table, generator=generator), float(max(score.drop for score in table.scores))
 
 
 def _entry(

@@ -142,12 +142,14 @@ def promising(ranking: Ranking) -> list[Entry]:
 
     Where the misfit is large the linear prediction is a poor judge: dissipative effects, say, are told apart
     by refits, not by scores. So many are begun and few are finished. Where it is small the prediction holds,
-    and what would leave nearly all of the misfit is not tried.
+    and what would leave nearly all of the misfit, or explains less than an effect that does nothing, is not
+    tried.
     """
     good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
     if ranking.chi_square < LINEAR**2 * ranking.rows:
         beyond = ranking.chi_square - ranking.rows
-        good = [e for e in good if e.statistic > WORTH_A_REFIT * beyond]
+        floor = max(WORTH_A_REFIT * beyond, ranking.decoy_statistic)
+        good = [e for e in good if e.statistic > floor]
     if not good:
         return []
     chosen = [e for e in good if e.statistic > WORTH_A_TRY * good[0].statistic][:BEGUN]
