@@ -225,9 +225,9 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
         // than the object shares the force between them. The residual below keeps the hold exact.
         const double largest = matrix_.diagonal().head(static_cast<Eigen::Index>(3 * model_->node_count())).cwiseAbs().maxCoeff();
         const double give = 1e-9 / largest;
-        // Nodes that touch next to no material would move by any distance: springs a billion times
-        // softer than the object keep them.
-        node_spring_ = 1e-9 * largest;
+        // Nodes that touch next to no material would move by any distance: springs keep them, as of a
+        // material of 1e-4 Pa, the same whatever the parameters are, so that no derivative sees them.
+        node_spring_ = 1e-4 * g.spacing[0];
         for (Eigen::Index i = 0; i < static_cast<Eigen::Index>(3 * model_->node_count()); ++i) {
             matrix_.coeffRef(i, i) += node_spring_;
         }
