@@ -11,7 +11,7 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
-from mphygs.extend.grids import on_grid, refined
+from mphygs.extend.grids import on_grid, probed, refined
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
@@ -291,7 +291,7 @@ def discover(
     only for trying many models, and models near the floor are asked again on the default grid.
     Raises SimulationError when not even the first model can be simulated.
     """
-    say = report or (lambda _text: None)
+    say, coarse = report or (lambda _text: None), spacing
     steps = list(start) or [first_fit(experiment, belief, spacing, report=report)]
     rankings: list[Ranking] = []
     warnings: list[str] = []
@@ -321,12 +321,12 @@ def discover(
     without_bad_tracks()
     steps[-1] = refined(experiment, steps, report, screening=screening)
     while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
-        current = steps[-1]
+        if names is not None and set(names) <= set(steps[-1].belief.effects):
+            break
+        current = probed(experiment, steps[-1], coarse, report) if screening else steps[-1]
         spacing = current.spacing
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
         generator = np.random.default_rng((seed, len(steps)))
-        if names is not None and set(names) <= set(current.belief.effects):
-            break
         window = tractable_window(experiment, current, spacing, say)
         fitted = window[1]
         share = allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])

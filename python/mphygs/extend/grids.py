@@ -15,6 +15,8 @@ from mphygs.simulate.errors import SimulationError
 # On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
 # first model, may be the grid's own: the default grid is asked.
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
+# A misfit that a coarser grid has as well, within this factor, is looked for there.
+SAME_MISFIT = 1.3
 ITERATIONS = 8
 
 
@@ -93,3 +95,16 @@ def refined(
     if fine and not current.explained and current.assessment.worst < LARGEST_GRID_ERROR:
         current = with_budget(experiment, current, report)
     return current
+
+
+def probed(
+    experiment: Experiment, step: Step, spacing: float, report: Callable[[str], None] | None = None
+) -> Step:
+    """The step to look for its misfit's cause in: on a grid of `spacing` [m] where that shows the same misfit,
+    at a fraction of the work, else as it is."""
+    if step.spacing > 0.9 * spacing:
+        return step
+    coarse = on_grid(experiment, step, spacing, report)
+    if coarse is None or coarse.assessment.worst > SAME_MISFIT * step.assessment.worst:
+        return step
+    return coarse
