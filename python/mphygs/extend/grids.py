@@ -100,8 +100,8 @@ def refined(
 def probed(
     experiment: Experiment, step: Step, spacing: float, report: Callable[[str], None] | None = None
 ) -> Step:
-    """The step to look for its misfit's cause in: on a grid of `spacing` [m] where that shows the same misfit,
-    at a fraction of the work, else as it is."""
+    """The step to look for its misfit's cause in: on a coarser grid where that shows the same misfit, at a
+    fraction of the work, else as it is. spacing: of the coarser grid [m]."""
     if step.spacing > 0.9 * spacing:
         return step
     coarse = on_grid(experiment, step, spacing, report)
