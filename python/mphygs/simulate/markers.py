@@ -8,46 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-
-class _PolarRotation(torch.autograd.Function):
-    """R of F = R S. torch's own derivative of the SVD is infinite where singular values meet, as at rest.
-
-    dR = U ((W - W^T) / (s_i + s_j)) V^T with W = U^T dF V; the map from dF to dR is its own adjoint.
-    """
-
-    @staticmethod
-    def forward(f: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        left, singular, right = torch.linalg.svd(f)
-        # A point turned inside out keeps a proper rotation: its smallest singular value changes sign.
-        sign = torch.det(left @ right)
-        flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], -1)
-        left, singular = left * flip[..., None, :], singular * flip
-        return left @ right, left, singular, right
-
-    @staticmethod
-    def setup_context(ctx: object, inputs: tuple, output: tuple) -> None:
-        ctx.mark_non_differentiable(*output[1:])
-        ctx.save_for_backward(*output[1:])
-        ctx.save_for_forward(*output[1:])
-
-    @staticmethod
-    def _turn(saved: tuple[Tensor, ...], change: Tensor) -> Tensor:
-        left, singular, right = saved
-        w = left.mT @ change @ right.mT
-        return left @ ((w - w.mT) / (singular[..., :, None] + singular[..., None, :])) @ right
-
-    @staticmethod
-    def backward(ctx: object, rotation_bar: Tensor, *_: Tensor) -> Tensor:
-        return _PolarRotation._turn(ctx.saved_tensors, rotation_bar)
-
-    @staticmethod
-    def jvp(ctx: object, tangent: Tensor) -> tuple:
-        return _PolarRotation._turn(ctx.saved_tensors, tangent), None, None, None
-
-
-def polar_rotation(deformation: Tensor) -> Tensor:
-    """Rotation (..., 3, 3) of the polar decomposition of deformation gradients (..., 3, 3)."""
-    return _PolarRotation.apply(deformation)[0]
+from mphygs.scene.polar import polar_rotation
 
 
 @dataclass(frozen=True, eq=False)
