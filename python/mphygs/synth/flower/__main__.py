@@ -5,16 +5,16 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.synth.flower.catalogue import SPECIES
 from mphygs.synth.flower.make import make_flower
 from mphygs.synth.flower.shoot import Shoot
-from mphygs.synth.flower.species import SPECIES
 from mphygs.synth.make import Made
 
 PROGRAM = "mphygs synth flower"
@@ -63,7 +63,7 @@ def synth_flower(options: FlowerOptions, console: Console) -> Answer:
     except ValueError as error:
         name, _, rest = str(error).partition(" ")
         raise OptionError(f"--{name.replace('_', '-')}: got {rest}") from error
-    console.resume = f"{PROGRAM} {shlex.join(sys.argv[2:])}" if len(sys.argv) > 2 else None
+    console.resume = f"{PROGRAM} {shlex.join(_arguments(options))}"
     documents, lines = [], []
     for number, name in enumerate(chosen):
 
@@ -78,6 +78,18 @@ def synth_flower(options: FlowerOptions, console: Console) -> Answer:
         lines += _text(name, made)
     document = {"out": str(options.out), "seconds": console.seconds, "flowers": documents}
     return Answer(document, "\n".join(lines))
+
+
+def _arguments(options: FlowerOptions) -> list[str]:
+    """The options as they would be typed, the usual ones left out."""
+    arguments = []
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if value != field.default:
+            name = f"--{field.name.replace('_', '-')}"
+            values = value if isinstance(value, tuple) else (value,)
+            arguments += [name] if value is True else [part for v in values for part in (name, str(v))]
+    return arguments
 
 
 def _chosen(given: tuple[str, ...]) -> tuple[str, ...]:

@@ -95,8 +95,9 @@ def _sheets(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Upper and lower vertices (rows + 1, W + 1, 3) [m]."""
     s, a = share[:, None], across[None]
-    # Rounded tips: the rows bend back towards the edges, more so towards the tip.
-    place = s * (1.0 - outline.rounding * s**2 * a**2) / (1.0 + max(0.0, -outline.rounding))
+    # Rounded tips: the rows bend back towards the edges, more so towards the tip. All that shapes the blade
+    # is of the place along it, not of the row, so that it never folds over.
+    place = s * (1.0 - outline.rounding * s * a**2) / (1.0 + max(0.0, -outline.rounding))
     fine = np.linspace(0.0, 1.0, 201)
     angle = np.radians(_course(outline.rise)(fine))
     step = outline.length * 0.5 * (fine[1] - fine[0])
@@ -105,13 +106,12 @@ def _sheets(
     )
     out, up = np.interp(place, fine, far), np.interp(place, fine, high)
     theta = np.interp(place, fine, angle)
-    half = outline.half_width * np.maximum(_course(outline.widths)(s + 0.0 * a), 0.02)
-    bend = outline.cup * _smooth(s / 0.5) * a**2
-    bend = bend + outline.ruffle * _smooth(s / 0.6) * a**2 * np.sin(
-        2.0 * np.pi * outline.waves * (s + 0.13 * np.sign(a))
-    )
-    bend = bend + half * a * np.tan(np.radians(outline.twist)) * _smooth(s)
-    thick = 0.5 * outline.thickness * (1.0 - 0.35 * s - 0.2 * a**2)
+    half = outline.half_width * np.maximum(_course(outline.widths)(place), 0.02)
+    bend = outline.cup * _smooth(place / 0.5) * a**2
+    wave = np.sin(2.0 * np.pi * outline.waves * (place + 0.13 * np.sign(a)))
+    bend = bend + outline.ruffle * _smooth(place / 0.6) * a**2 * wave
+    bend = bend + half * a * np.tan(np.radians(outline.twist)) * _smooth(place)
+    thick = 0.5 * outline.thickness * (1.0 - 0.35 * place - 0.2 * a**2)
     middle = 0.5 * (root.lower + root.upper)
     start = middle.mean(axis=0) - root.centre
     blend = _smooth(s / 0.22)[..., None]

@@ -39,8 +39,8 @@ def hand_takes(frames: int, seed: int, *, fps: float = FPS) -> tuple[Take, ...]:
 
 def _into_the_frog(length: float, size: float, generator: np.random.Generator) -> Sequence[Motion]:
     way, axis, turn = _directions(generator)
-    far = size * generator.uniform(0.035, 0.05)
-    high, deep = size * generator.uniform(0.018, 0.028), size * generator.uniform(0.026, 0.034)
+    far = size * generator.uniform(0.026, 0.036)
+    high, deep = size * generator.uniform(0.014, 0.020), size * generator.uniform(0.020, 0.026)
     tilt = size * generator.uniform(9.0, 14.0)
     return (
         Motion("shift", 0.02 * length, 0.30 * length, by=(0.0, 0.0, high)),
@@ -58,7 +58,7 @@ def _turned(length: float, size: float, generator: np.random.Generator) -> Seque
     way, axis, turn = _directions(generator)
     far = size * generator.uniform(0.006, 0.009)
     return (
-        Motion("shift", 0.02 * length, 0.35 * length, by=(0.0, 0.0, size * generator.uniform(0.02, 0.03))),
+        Motion("shift", 0.02 * length, 0.35 * length, by=(0.0, 0.0, size * generator.uniform(0.014, 0.022))),
         Motion("turn", 0.05 * length, 0.50 * length, axis=(0.0, 0.0, 1.0), degrees=50.0 * size * turn),
         Motion(
             "shake", 0.30 * length, 0.85 * length, by=tuple(far * way), ramp=0.2 * length,

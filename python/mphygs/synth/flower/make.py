@@ -12,6 +12,7 @@ import numpy as np
 from mphygs.capture.format import Capture, Known, Markers, Part, save_capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.synth.flower.answer import TRACK_SIGMA, answer_of
+from mphygs.synth.flower.catalogue import species
 from mphygs.synth.flower.draw import Painter
 from mphygs.synth.flower.grow import Flower, grow
 from mphygs.synth.flower.hand import hand_takes
@@ -21,7 +22,6 @@ from mphygs.synth.flower.pointing import write_contact, write_correspondences
 from mphygs.synth.flower.progress import Progress
 from mphygs.synth.flower.rig import rest_cameras, sequence_cameras
 from mphygs.synth.flower.shoot import Shoot
-from mphygs.synth.flower.species import species
 from mphygs.synth.flower.stored import Stored
 from mphygs.synth.hidden import parse
 from mphygs.synth.make import Made

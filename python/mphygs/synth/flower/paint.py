@@ -89,7 +89,7 @@ def _blade(
 ) -> np.ndarray:
     colour = _mix(paint.root, paint.tip, np.clip(1.3 * along, 0.0, 1.0) ** 0.8)
     # no two blades are quite alike
-    shift = 0.09 * np.sin(number[:, None] * 2.4 + np.array([0.0, 2.1, 4.2]))
+    shift = 0.05 * np.sin(number[:, None] * 2.4 + np.array([0.0, 2.1, 4.2]))
     colour = colour * (1.0 + shift)
     if paint.branched:
         phase = paint.veins * (along - 0.28 * np.abs(across))
