@@ -11,6 +11,7 @@ from flower_example import SMALL, small_flower
 from mphygs.capture.cameras import Camera
 from mphygs.capture.format import load_capture
 from mphygs.capture.views import rest_views_of, sequence_views_of
+from mphygs.scene.agreement import check_first_frame
 from mphygs.synth.flower import SPECIES, make_flower
 from mphygs.synth.flower.shoot import Shoot
 
@@ -146,6 +147,15 @@ def test_what_is_pointed_at_is_where_it_is(folder) -> None:
         for side, known in ((point.rest, rest_rig), (point.first, cameras)):
             found = triangulated([known[name] for name in side], np.array(list(side.values())))
             assert np.linalg.norm(vertices - found, axis=1).min() < 6e-3
+
+
+def test_first_frames_fit_the_rest_views(folder) -> None:
+    capture = load_capture(folder)
+    rest = rest_views_of(capture)
+    for sequence in capture.sequences:
+        views = sequence_views_of(sequence, rest)
+        found = check_first_frame(rest.read(), views.read(0), views.correspondences)
+        assert max(found.error.values()) < 1.5 and 0.9 < found.size < 1.4 and found.colours > 0.5
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(folder, tmp_path) -> None:
