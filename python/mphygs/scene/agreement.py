@@ -20,18 +20,20 @@ from mphygs.scene.hull import visual_hull
 # Root of the mean square distance between a pixel pointed at and the point it belongs to, from which it is no
 # longer the error of a hand [px], and in pictures of more pixels [px at a width of 1000].
 _LARGEST_ERROR, _LARGEST_ERROR_OF_1000 = 2.5, 12.0
-# Of the hull's diameter in the motion's pictures over that in the rest views. Few views carve less away.
-_SIZES = (0.75, 1.8)
+# Of the object's length in the motion's pictures over that in the rest views. Few cameras may not see all
+# of its length.
+_SIZES = (0.6, 1.5)
 # Share of colours in common, of histograms of that many bins a channel.
 _LEAST_COLOURS, _BINS = 0.2, 6
 _HULL = 48  # voxels along the longest side
+_DIRECTIONS = 36  # that a silhouette is measured in
 
 
 @dataclass(frozen=True)
 class Agreement:
     """What was compared.
 
-    size: diameter of the hull of the motion's pictures over that at rest; colours: share of the colours in
+    size: length in the motion's pictures over that at rest; colours: share of the colours in
     common, 0 to 1; error: camera -> its reprojection error [px], for cameras whose pictures were pointed in.
     """
 
@@ -50,13 +52,13 @@ def check_first_frame(
     """Raise CaptureError unless the pictures of a motion's first frame fit each other and the rest views.
 
     rest: the rest views; first: frame 0 of every camera; where: how messages name the motion. The object may
-    have been moved and turned between the two. Lengths are compared by the diagonals of the principal extents
-    of the visual hulls, colours by the overlap of their histograms (Swain and Ballard 1991).
+    have been moved and turned between the two. Lengths are compared by the longest way
+    across a silhouette, colours by the overlap of their histograms (Swain and Ballard 1991).
     """
     error = _checked_errors(
         {p.camera.name: p.camera for p in first}, [c.first for c in correspondences], where
     )
-    size = _diameter(first) / _diameter(rest)
+    size = _length(first) / _length(rest)
     if not _SIZES[0] <= size <= _SIZES[1]:
         raise fault(
             where,
@@ -146,12 +148,21 @@ def _own_error(cameras: Mapping[str, Camera], points: Sequence[Mapping[str, np.n
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
-def _diameter(photographs: Sequence[Photograph]) -> float:
-    """Length [m] of the diagonal of the principal extents of the visual hull, whichever way it is turned."""
-    points = visual_hull(photographs, resolution=_HULL).centres
-    middle = points - points.mean(axis=0)
-    along = middle @ np.linalg.svd(middle, full_matrices=False)[2].T
-    return float(np.linalg.norm(np.ptp(along, axis=0)))
+def _length(photographs: Sequence[Photograph]) -> float:
+    """The longest way across any silhouette [m], at the distance of the middle of the visual hull.
+
+    The hull itself says less of the size: few views leave much to it that is not of the object.
+    """
+    middle = visual_hull(photographs, resolution=_HULL).centres.mean(axis=0)
+    angle = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    longest = 0.0
+    for photograph in photographs:
+        row, column = np.nonzero(photograph.mask >= 0.5)
+        depth = float(photograph.camera.project(middle[None])[1][0])
+        place = np.stack([column, row], axis=1) / photograph.camera.focal * depth
+        along = place @ np.stack([np.cos(angle), np.sin(angle)])
+        longest = max(longest, float(np.ptp(along, axis=0).max()))
+    return longest
 
 
 def _histogram(photographs: Sequence[Photograph]) -> np.ndarray:
