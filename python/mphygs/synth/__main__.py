@@ -13,20 +13,23 @@ import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.synth.faults import DEFAULTS as FAULTS
+from mphygs.synth.flower.__main__ import main as flower
 from mphygs.synth.make import make_capture
 from mphygs.synth.markers import Noise
 from mphygs.synth.recipe import Recipe, default_takes, recipe
 from mphygs.synth.shapes import shape
 
 PROGRAM = "mphygs synth"
+# Objects of prisms whose name here is another than in the library.
+PRISMS = {"prism-flower": "flower"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SynthOptions(CommonOptions):
     """Make a capture with known truth: simulated on another grid than a fit's, then measured with noise."""
 
-    kind: tyro.conf.Positional[Literal["bar", "two-part-bar", "flower", "hanging-flower"]]
-    """The object."""
+    kind: tyro.conf.Positional[Literal["bar", "two-part-bar", "prism-flower", "hanging-flower", "flower"]]
+    """The object; flower, seen in pictures, has options of its own: synth flower --help."""
     out: Path
     """Folder to write the capture and its answer.json to."""
     hidden: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
@@ -57,6 +60,9 @@ class SynthOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    if given[:1] == ["flower"]:
+        return flower(given[1:])
     return run(SynthOptions, synth, program=PROGRAM, argv=argv)
 
 
@@ -81,6 +87,8 @@ def synth(options: SynthOptions, console: Console) -> Answer:
 
 
 def _recipe(options: SynthOptions) -> Recipe:
+    if options.kind == "flower":
+        raise OptionError("flower: got options before it; expected the kind first: synth flower --out DIR")
     if options.frames < 8:
         raise OptionError(f"--frames: got {options.frames}; expected 8 or more")
     if not 0.3 <= options.spacing_share <= 2.0:
@@ -89,12 +97,13 @@ def _recipe(options: SynthOptions) -> Recipe:
     for text in faults:
         if text.split(":")[0] not in FAULTS:
             raise OptionError(f"--fault: unknown fault '{text}'; expected some of {', '.join(FAULTS)}")
+    kind = PRISMS.get(options.kind, options.kind)
     return recipe(
-        options.kind,
+        kind,
         hidden=hidden + faults,
         seed=options.seed,
         noise=Noise(options.noise, options.sigma, dropout=options.dropout),
-        takes=default_takes(shape(options.kind), frames=options.frames, kinds=names(options.motion)),
+        takes=default_takes(shape(kind), frames=options.frames, kinds=names(options.motion)),
         marker_count=options.markers,
         spacing_share=options.spacing_share,
         known=options.known,

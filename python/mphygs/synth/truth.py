@@ -52,21 +52,31 @@ def simulate(
     belief = true_belief(capture, recipe, hidden)
     causes = [thing for thing in hidden if thing.kind == "cause"]
     settings = Settings(spacing=spacing, workers=1)
-    predictor = _CausedPredictor(capture, recording, settings, causes)
+    predictor = CausedPredictor(capture, recording, settings, causes)
     prediction = predictor.predict(belief)
     return Motion(
         prediction.position, prediction.velocity, predictor.attachment.hold < 0, prediction.substeps
     )
 
 
-class _CausedPredictor(Predictor):
+class CausedPredictor(Predictor):
     """A predictor whose runs feel causes that no belief can name."""
 
     def __init__(
-        self, capture: Capture, recording: Recording, settings: Settings, causes: Sequence[Hidden]
+        self,
+        capture: Capture,
+        recording: Recording,
+        settings: Settings,
+        causes: Sequence[Hidden],
+        *,
+        body: Body | None = None,
     ) -> None:
-        super().__init__(capture, recording, settings)
+        super().__init__(capture, recording, settings, body=body)
         self._causes = tuple(causes)
+
+    def hook(self, belief: Belief, fields: dict) -> object | None:
+        """What adds the causes' forces to a run with these fields, None without causes."""
+        return self._hook(belief, fields)
 
     def _hook(
         self, belief: Belief, fields: dict, simulated: Sequence = (), changes: Sequence = ()
