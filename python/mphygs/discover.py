@@ -186,12 +186,13 @@ def _conclude(
 ) -> dict[str, object]:
     """Write the last model as a run, the first diagnosis beside it; the JSON of the command.
 
-    Where nothing known explains the error, the force that the last model lacks is found and kept as well.
+    Where nothing known explains the error, no effect is concluded: the force that the first model lacks, bad
+    tracks left out, is found and kept as well.
     """
     missing = None
     if found.verdict == "unknown":
-        last = found.steps[-1]
-        missing = unexplained(experiment, last.belief, last.spacing, seed=state.seed, report=console.say)
+        kept = [s for s in found.steps if set(s.added) <= {"marker_outliers"}][-1]
+        missing = unexplained(experiment, kept.belief, kept.spacing, seed=state.seed, report=console.say)
     answer = {
         "steps": documents,
         "verdict": found.verdict,

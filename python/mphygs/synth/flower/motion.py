@@ -121,8 +121,8 @@ class TrueMotion:
         )
         belief = self._belief
         model = predictor.model(core_effects(belief), places(belief), belief.law)
-        timeline = predictor.timeline(take.frames, self._substep(belief))
-        fields = predictor.inputs(belief, timeline, model)
+        timeline = predictor.timeline(belief, take.frames, self._substep(belief))
+        fields = predictor.inputs(belief, timeline)
         fields["displacement0"] = settled.displacement
         u, _ = model.simulate(fields, timeline.schedule, progress, predictor.hook(belief, fields))
         position = np.stack([self.vertices + self._moved(np.asarray(frame, float)) for frame in u])
