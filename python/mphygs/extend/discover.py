@@ -16,6 +16,7 @@ from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.problem import Evaluation
 from mphygs.fit.schedule import find_scale, fit_belief
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -82,6 +83,11 @@ def forget(belief: Belief) -> Belief:
     return replace(belief, parameters=tuple(parameters))
 
 
+def _ratio(evaluation: Evaluation) -> float:
+    """Root mean square over sigma of the fitted frames."""
+    return float(np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1)))
+
+
 def tractable_window(
     experiment: Experiment, current: Step, spacing: float, say: Callable[[str], None]
 ) -> tuple[float, Solution]:
@@ -101,14 +107,29 @@ def tractable_window(
         belief = find_scale(problem.narrowed(WINDOWS[0]), forget(belief))
     for share in WINDOWS:
         solution = minimise(problem.narrowed(share), belief, iterations=8, relative_tolerance=1e-3)
-        belief = solution.belief
-        ratio = float(np.sqrt(solution.evaluation.chi_square / solution.evaluation.data_rows))
+        ratio = _ratio(solution.evaluation)
         say(f"window of {share:.0%} of the frames: {ratio:.3f} sigma")
         if best is not None and ratio > TRACTABLE:
-            break
-        best = (share, solution)
+            if _ratio(best[1].evaluation) > VISIBLE:
+                break
+            # Something sets in between, a contact say. The model of the frames before it is right there:
+            # what it lacks is seen from it on the frames after.
+            share = 0.5 * (best[0] + share)
+            before = best[1].belief
+            evaluation = problem.narrowed(share).evaluate(before)
+            say(f"seen from before, {share:.0%} of the frames: {_ratio(evaluation):.3f} sigma")
+            if _ratio(evaluation) < VISIBLE:
+                share = WINDOWS[-1]
+                evaluation = problem.narrowed(share).evaluate(before)
+            return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
+        best, belief = (share, solution), solution.belief
         if ratio > VISIBLE:
             break
+    if _ratio(best[1].evaluation) < VISIBLE:
+        # It sets in later still.
+        evaluation = problem.evaluate(belief)
+        say(f"seen from before, all frames: {_ratio(evaluation):.3f} sigma")
+        return 1.0, Solution(belief, evaluation, (evaluation.cost,), True, "seen from before")
     return best
 
 
