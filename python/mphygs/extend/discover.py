@@ -318,20 +318,17 @@ def discover(
     warnings: list[str] = []
     if on_step and not start:
         on_step(steps[0])
-    tracked = False
 
     def without_bad_tracks() -> None:
         """One more step where tracks are bad; looked for anew as long as none was found."""
-        nonlocal tracked
         current = steps[-1]
         allowed = names is None or "marker_outliers" in names
         known = any("marker_outliers" in step.added for step in steps)
-        if tracked or known or not allowed or current.assessment.adequate:
+        if known or not allowed or current.assessment.adequate:
             return
         left_out = mask_outliers(experiment, current.compared)
         if not left_out:
             return
-        tracked = True
         say(f"{left_out} measurements do not move with their neighbours: left out as marker_outliers")
         experiment.problems.clear()
         after = first_fit(experiment, current.belief, current.spacing, report=report, warm=True)
