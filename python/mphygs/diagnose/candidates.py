@@ -70,8 +70,17 @@ def principal_axis(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.linalg.eigh(np.einsum("n,ni,nj->ij", weights, centred, centred))[1][:, -1]
 
 
-def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = None) -> list[Way]:
-    """All ways of all smooth effects and faults that the model lacks and the body's transfer can have."""
+def smooth_ways(
+    belief: Belief,
+    body: Body,
+    *,
+    names: Sequence[str] | None = None,
+    hung: Sequence[dict[str, object]] = (),
+) -> list[Way]:
+    """All ways of all smooth effects and faults that the model lacks and the body's transfer can have.
+
+    hung: settings of point masses that known loads may be the weight of.
+    """
     wanted = set(effects() if names is None else names) - set(belief.effects)
     wanted -= set(impossible_effects(body.transfer))
     ways: list[Way] = []
@@ -115,6 +124,9 @@ def smooth_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = Non
         for place in spread_places(body, PLACES):
             at = ", ".join(f"{x:.3f}" for x in place)
             add("attached_mass", f"attached_mass at ({at})", ["m"], settings={"place": place.tolist()})
+        for settings in hung:
+            label = f"attached_mass, the load of {', '.join(settings['sequences'])}"
+            add("attached_mass", label, ["m"], settings=settings)
     if "tether" in wanted:
         size = float(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0).max())
         for place in spread_places(body, TETHER_PLACES):

@@ -9,6 +9,7 @@ import numpy as np
 
 from mphygs.compare.allowance import Allowance, modulated_directions
 from mphygs.diagnose.candidates import Way, base_motion_ways, smooth_ways, starting_effect
+from mphygs.diagnose.contact_search import search, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.power import detectable_length
@@ -16,8 +17,9 @@ from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
 from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.trials import score_trials
-from mphygs.diagnose.trials_of import Trial, contact_trials, plasticity_trials
+from mphygs.diagnose.trials_of import Trial, plasticity_trials
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -160,7 +162,8 @@ def rank(
     full_jacobian = np.vstack([jacobian, prior])
     first_name = next(iter(problem.ranges))
     body = problem.predictors[first_name].body
-    ways = smooth_ways(belief, body, names=names)
+    hung = masses_of_loads(experiment.capture, list(problem.ranges))
+    ways = smooth_ways(belief, body, names=names, hung=hung)
     if names is None or "base_motion" in names:
         misfits = {
             n: experiment.observations[n].position[a:b] - evaluation.positions[n][a:b]
@@ -290,10 +293,10 @@ def _trials(
     observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
     if names is None or "contact" in names:
-        span = slice(0, last)
-        groups["contact"] = contact_trials(
-            belief, evaluation.positions[name][span], observation.position[span], observation.sigma
+        planes = search(
+            problem, observation, belief, evaluation, workers=experiment.settings.workers, report=report
         )
+        groups["contact"] = [Trial("contact", plane.label, with_wall(belief, plane)) for plane in planes]
     if names is None or "plasticity" in names:
         groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
     entries = []

@@ -40,6 +40,7 @@ ALIKE = 1.35
 # Diagnosis looks at the first frames over which the misfit is between these [sigma].
 VISIBLE, TRACTABLE = 1.25, 4.0
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
+SHORTER = (0.16, 0.1, 0.06)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +106,24 @@ def tractable_window(
     belief = current.belief
     if not current.added:
         belief = find_scale(problem.narrowed(WINDOWS[0]), forget(belief))
+
+    def fitted(share: float, start: Belief) -> Solution:
+        solution = minimise(problem.narrowed(share), start, iterations=8, relative_tolerance=1e-3)
+        say(f"window of {share:.0%} of the frames: {_ratio(solution.evaluation):.3f} sigma")
+        return solution
+
+    shortest = fitted(WINDOWS[0], belief)
+    for share in SHORTER:
+        if _ratio(shortest.evaluation) < TRACTABLE:
+            break
+        # Even that is far off: several swings, or a load that nothing in the model answers to.
+        shortest = fitted(share, belief)
+        best = (share, shortest)
+    if best is not None:
+        return best
     for share in WINDOWS:
-        solution = minimise(problem.narrowed(share), belief, iterations=8, relative_tolerance=1e-3)
+        solution = shortest if share == WINDOWS[0] else fitted(share, belief)
         ratio = _ratio(solution.evaluation)
-        say(f"window of {share:.0%} of the frames: {ratio:.3f} sigma")
         if best is not None and ratio > TRACTABLE:
             if _ratio(best[1].evaluation) > VISIBLE:
                 break
@@ -181,6 +196,17 @@ def promising(ranking: Ranking) -> list[Entry]:
     return chosen
 
 
+def _onward(share: float, kind: str) -> list[float]:
+    """Shares of the frames on the way from a window to all of them; what sets in at some moment (a threshold)
+    is followed in smaller steps."""
+    shares = []
+    while share < 1.0:
+        share = min(2.0 * share, 0.5 * (1.0 + share)) if kind == "threshold" else 2.0 * share
+        shares.append(1.0 if share > 0.8 else share)
+        share = shares[-1]
+    return shares
+
+
 def refits_of(
     experiment: Experiment,
     current: Step,
@@ -202,10 +228,16 @@ def refits_of(
         alike = [item for item in begun if item[0] < ALIKE * begun[0][0]]
         begun = []
         for _, entry, solution in alike:
+            # The motion is followed from the window on, not met all at once: half a swing off there is no way
+            # back.
             try:
-                solution = minimise(
-                    experiment.problem(spacing), solution.belief, iterations=3, relative_tolerance=1e-3
-                )
+                for share in _onward(window[0], entry.kind):
+                    solution = minimise(
+                        experiment.problem(spacing).narrowed(share),
+                        solution.belief,
+                        iterations=3,
+                        relative_tolerance=1e-3,
+                    )
             except SimulationError:
                 continue
             begun.append((solution.evaluation.chi_square, entry, solution))

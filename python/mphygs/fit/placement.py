@@ -27,28 +27,42 @@ def principal_axis(part: Part) -> np.ndarray:
 
 
 def place_of_effect(capture: Capture, sequences: Sequence[str]) -> np.ndarray:
-    """(3,) material point [m]: where a known load hangs, else at the marker farthest from what is held."""
-    recordings = [capture.sequence(name) for name in sequences]
-    for recording in recordings:
-        if recording.loads:
-            point = np.asarray(recording.loads[0].box, float).mean(0)
-            break
-    else:
-        recording = recordings[0]
-        at = recording.markers.at
-        distance = np.linalg.norm(at - at.mean(0), axis=1)
-        if recording.held:
-            boxes = np.array([hold.box for hold in recording.held])
-            gap = np.maximum(boxes[:, None, 0] - at, 0.0) + np.maximum(at - boxes[:, None, 1], 0.0)
-            distance = np.linalg.norm(gap, axis=-1).min(0)
-        point = at[distance.argmax()]
-    return closest_material(capture.parts, point[None]).anchor[0]
+    """(3,) material point [m] at the marker farthest from what is held."""
+    recording = capture.sequence(sequences[0])
+    at = recording.markers.at
+    distance = np.linalg.norm(at - at.mean(0), axis=1)
+    if recording.held:
+        boxes = np.array([hold.box for hold in recording.held])
+        gap = np.maximum(boxes[:, None, 0] - at, 0.0) + np.maximum(at - boxes[:, None, 1], 0.0)
+        distance = np.linalg.norm(gap, axis=-1).min(0)
+    return closest_material(capture.parts, at[[distance.argmax()]]).anchor[0]
+
+
+def masses_of_loads(capture: Capture, sequences: Sequence[str]) -> list[dict[str, object]]:
+    """Settings of a point mass for each known load of the sequences, alike ones together.
+
+    A load that is a weight has a mass as well: it brings inertia in the sequences that have the load; its
+    weight is the load, and is not added again.
+    """
+    found: dict[bytes, dict[str, object]] = {}
+    for name in sequences:
+        for load in capture.sequence(name).loads:
+            key = np.asarray(load.box, float).tobytes() + np.asarray(load.force, float).tobytes()
+            if key not in found:
+                point = np.asarray(load.box, float).mean(0)
+                place = closest_material(capture.parts, point[None]).anchor[0]
+                found[key] = {
+                    "place": place.tolist(), "sequences": [], "weight": False, "at_rest": False
+                }  # fmt: skip
+            found[key]["sequences"].append(name)
+    return list(found.values())
 
 
 def with_placed_effect(belief: Belief, name: str, capture: Capture, sequences: Sequence[str]) -> Belief:
     """The belief with an effect added; what it needs besides numbers comes from the object.
 
-    A place: the known load's, else that of the marker farthest from the holds. A part: the largest. An axis:
+    A point mass: that of a known load, where there is one (see `masses_of_loads`). Else a place: that of the
+    marker farthest from the holds. A part: the largest. An axis:
     that part's longest. Raises ValueError for an effect that is there already, and for one without any
     derivative where it is absent: those are found by trials.
     """
@@ -58,6 +72,9 @@ def with_placed_effect(belief: Belief, name: str, capture: Capture, sequences: S
             f"effect '{name}': a fit cannot start from its absence; "
             f"expected it to be added by: mphygs extend RUN {name}"
         )
+    hung = masses_of_loads(capture, sequences) if name == "attached_mass" else []
+    if hung:
+        return belief.with_effect(name, {}, hung[0])
     if name in PLACED:
         place = place_of_effect(capture, sequences)
         values = {}

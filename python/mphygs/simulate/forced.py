@@ -91,7 +91,7 @@ class ForcedSequence:
         found, _ = model.adjoint(motion.fields, timeline.schedule, *bars, None, hook)
         slopes = []
         parameters = [belief[key] for key in keys]
-        changes = predictor.changes(belief, [(belief, p) for p in parameters])
+        changes = predictor.changes(belief, [(belief, p) for p in parameters], timeline)
         for parameter, change in zip(parameters, changes, strict=True):
             slope = sum(
                 float(np.vdot(found[n], np.asarray(c, float).ravel()))
@@ -114,7 +114,7 @@ class ForcedSequence:
         wanted = [(belief, belief[key]) for key in keys]
         simulated = [pair for pair in wanted if acts_in_simulation(pair[1])]
         # The parameters come first: effects in Python look theirs up by place.
-        directions = [*predictor.changes(belief, simulated)]
+        directions = [*predictor.changes(belief, simulated, timeline)]
         hook = predictor._hook(belief, motion.fields, simulated, directions)
         directions += [{"node_force": force[timeline.moving]} for force in forces]
         out = np.zeros((*motion.position.shape, len(forces) + len(keys)))

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from mphygs.capture.format import Capture
+from mphygs.capture.holds import Load
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import core_parameter_offsets, effect
@@ -21,6 +22,7 @@ from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.measurement import measured
 from mphygs.simulate.particle_body import discretise_particles
 from mphygs.simulate.prestress import RestShape
+from mphygs.simulate.scope import belief_of_sequence, in_scope, is_absent, stated_weights
 from mphygs.simulate.settings import MLS, TRANSFERS, Settings, check_effects
 from mphygs.simulate.timeline import Timeline, poses_of, timeline_of
 from mphygs.simulate.total_lagrangian import TotalLagrangian
@@ -122,37 +124,56 @@ class Predictor:
     def inputs(self, belief: Belief, timeline: Timeline, start: Start | None = None) -> dict[str, np.ndarray]:
         """All fields of the core for this sequence."""
         fields = self._material(belief, start)
-        return fields | self._imposed(timeline)
+        return fields | self._imposed(belief, timeline)
 
     def _material(self, belief: Belief, start: Start | None) -> dict[str, np.ndarray]:
         """Fields of the belief and of the initial state."""
-        fields = primal(belief, self.body)
+        fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if belief.prestress == "equilibrium":
             fields |= self.transfer.prestressed(belief)
         return fields if start is None else self.transfer.begun(fields, start)
 
-    def _imposed(self, timeline: Timeline) -> dict[str, np.ndarray]:
+    def _imposed(self, belief: Belief, timeline: Timeline) -> dict[str, np.ndarray]:
         """Motions of the holds and known loads."""
         fields = {}
         if self.recording.held:
             fields["pose"] = poses_of(self.recording, timeline)
-        if self.recording.loads:
-            fields["node_force"] = self._loads(timeline)
+        lifted = [name for name in stated_weights(belief) if in_scope(belief, name, self.recording.name)]
+        if self.recording.loads or lifted:
+            force = self._loads(timeline)
+            for name in lifted:
+                force = force + belief[f"{name}.m"].value * self._lift(belief, name, timeline)
+            fields["node_force"] = force
         return fields
 
     def _loads(self, timeline: Timeline) -> np.ndarray:
         """(F, N, 3) known loads on the carriers, each spread over the material in its box [N]."""
-        out = 0.0
+        out = np.zeros((len(timeline.moving), len(self.transfer.places_at_rest()), 3))
         for load in self.recording.loads:
             acting = (timeline.moving > load.start_frame)[:, None, None]
-            out = out + acting * self.transfer.load_share(load)[:, None] * np.asarray(load.force, float)
-        return np.asarray(out)
+            out += acting * self.transfer.load_share(load)[:, None] * np.asarray(load.force, float)
+        return out
+
+    def _lift(self, belief: Belief, name: str, timeline: Timeline) -> np.ndarray:
+        """(F, N, 3) force per mass that undoes a point mass's weight, which a known load states [m/s^2]."""
+        place = np.asarray(belief.term(name).settings["place"], float)
+        share = self.transfer.load_share(Load(np.array([place, place]), -belief.gravity, 0))
+        force = share[:, None] * -np.asarray(belief.gravity, float)
+        return np.repeat(force[None], len(timeline.moving), axis=0)
 
     def changes(
-        self, belief: Belief, owned: Sequence[Owned], start: Start | None = None
+        self, belief: Belief, owned: Sequence[Owned], timeline: Timeline, start: Start | None = None
     ) -> list[dict[str, np.ndarray]]:
         """Direction of all fields for each parameter, prestress included."""
-        changes = [direction(owner, self.body, parameter) for owner, parameter in owned]
+        here = self.recording.name
+        changes = [
+            {} if is_absent(owner, parameter, here) else direction(owner, self.body, parameter)
+            for owner, parameter in owned
+        ]
+        for change, (owner, parameter) in zip(changes, owned, strict=True):
+            name = parameter.key.rsplit(".", 1)[0]
+            if "place_mass" in change and name in stated_weights(owner):
+                change["node_force"] = parameter.slope * self._lift(owner, name, timeline)
         if belief.prestress == "equilibrium":
             self.rest_shape.solve(belief)
             groups: dict[int, list[int]] = {}
@@ -261,11 +282,12 @@ class Predictor:
         for owner, _ in owned:
             check_effects(self.settings.transfer, owner.effects)
         workers = self.settings.workers
+        changes = self.changes(belief, owned, timeline, start)
         batches = batches_of(
-            belief, self.body, self._material(belief, start), owned, self.changes(belief, owned, start),
+            belief, self.body, self._material(belief, start), owned, changes,
             largest=self.transfer.batch, workers=workers,
         )  # fmt: skip
-        imposed = self._imposed(timeline)
+        imposed = self._imposed(belief, timeline)
         # Models are made here, one after the other: caches are not shared between threads.
         models = [self.model(batch.active, batch.spots, belief.law) for batch in batches]
 

@@ -66,7 +66,7 @@ def _through_simulation(
     bars = transfer.adjoint(*run, carried, hook)
     slopes = []
     parameters = [belief[key] for key in keys]
-    changes = predictor.changes(belief, [(belief, p) for p in parameters], start)
+    changes = predictor.changes(belief, [(belief, p) for p in parameters], timeline, start)
     for parameter, change in zip(parameters, changes, strict=True):
         total = sum(
             float(np.vdot(bars[n], np.asarray(c, float).ravel())) for n, c in change.items() if bars[n].size
