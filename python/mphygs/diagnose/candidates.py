@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mphygs.diagnose.trials_of import hung_label
 from mphygs.fit.start import with_effect
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effects
@@ -125,8 +126,7 @@ def smooth_ways(
             at = ", ".join(f"{x:.3f}" for x in place)
             add("attached_mass", f"attached_mass at ({at})", ["m"], settings={"place": place.tolist()})
         for settings in hung:
-            label = f"attached_mass, the load of {', '.join(settings['sequences'])}"
-            add("attached_mass", label, ["m"], settings=settings)
+            add("attached_mass", hung_label(settings), ["m"], settings=settings)
     if "tether" in wanted:
         size = float(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0).max())
         for place in spread_places(body, TETHER_PLACES):

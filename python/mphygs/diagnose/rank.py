@@ -17,7 +17,7 @@ from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
 from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.trials import score_trials
-from mphygs.diagnose.trials_of import Trial, plasticity_trials
+from mphygs.diagnose.trials_of import Trial, hung_trials, plasticity_trials
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
@@ -29,6 +29,9 @@ MODULATIONS = 6
 # Effects that do nothing, scored beside the candidates.
 DECOYS = 20
 FREQUENCIES = 2
+# A trial of a smooth effect stands for it where its drop of chi^2 is this share of what tangents promise:
+# far from the data they promise much.
+TRIAL_WINS = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +119,7 @@ def allowance_of(
     experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation, *, share: float = 1.0
 ) -> Allowance:
     """The discretisation's error over the first `share` of the fitted frames, as nuisance directions."""
-    problem = experiment.problem(spacing).narrowed(share)
+    problem = experiment.window(spacing, share)
     pieces, parts, frames = [], [], []
     for number, (name, (first, last)) in enumerate(problem.ranges.items()):
         finer = experiment.predictor(name, spacing / 1.5)
@@ -151,7 +154,7 @@ def rank(
     evaluation: of the fit at `belief` and `spacing` to the first `share` of the frames, with Jacobian.
     names: effects to consider (None: all).
     """
-    problem = experiment.problem(spacing).narrowed(share)
+    problem = experiment.window(spacing, share)
     rows = evaluation.data_rows
     residual = evaluation.residual[:rows]  # measured - predicted
     jacobian = -evaluation.jacobian[:rows]
@@ -200,12 +203,27 @@ def rank(
     for name, (way, score) in best.items():
         entry = _entry(name, way, score, table, family, names_of, belief, rows)
         entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
-    entries += _trials(
+    trials = _trials(
         experiment, belief, evaluation, problem, full_residual, full_jacobian, generator, names, report
     )
+    entries = _with_trials(entries, trials)
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
     chi_square = float(residual @ residual)
     return Ranking(tuple(entries), chi_square, rows, table, decoys, decoy_statistic)
+
+
+def _with_trials(entries: Sequence[Entry], trials: Sequence[Entry]) -> list[Entry]:
+    """One entry for every effect: its trial where that holds its own against what its tangents promise."""
+    tried = {entry.effect: entry for entry in trials}
+    kept = []
+    for entry in entries:
+        trial = tried.get(entry.effect)
+        if trial is None:
+            kept.append(entry)
+        elif trial.statistic < TRIAL_WINS * entry.statistic:
+            kept.append(entry)
+            del tried[entry.effect]
+    return kept + list(tried.values())
 
 
 def _decoys(
@@ -288,7 +306,8 @@ def _trials(
     names: Sequence[str] | None,
     report: Callable[[str], None] | None,
 ) -> list[Entry]:
-    """Threshold effects: the best of a few finite trials each, with the p-value of the best of so many."""
+    """Threshold effects, and masses of known loads: the best of a few finite trials each, with the p-value of
+    the best of so many."""
     name, (_first, last) = next(iter(problem.ranges.items()))
     observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
@@ -299,6 +318,8 @@ def _trials(
         groups["contact"] = [Trial("contact", plane.label, with_wall(belief, plane)) for plane in planes]
     if names is None or "plasticity" in names:
         groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
+    if names is None or "attached_mass" in names:
+        groups["attached_mass"] = hung_trials(experiment.capture, belief, list(problem.ranges))
     entries = []
     for kind, trials in groups.items():
         changes, kept = [], []
@@ -331,7 +352,7 @@ def _trials(
             Entry(
                 kind,
                 trial.label,
-                "threshold",
+                effect(kind).kind,
                 float(scores.drop),
                 float(scores.p_value),
                 float(np.sqrt(expected / rows)),

@@ -1,20 +1,25 @@
-"""Finite trials of threshold effects: yields that the fitted model exceeds. Walls are searched for."""
+"""Finite trials: yields that the fitted model exceeds, masses of known loads. Walls are searched for."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from mphygs.capture.format import Capture
+from mphygs.fit.placement import masses_of_loads
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
 
 YIELD_SHARES = (0.8, 0.6, 0.4, 0.25, 0.12)
+# Of the mass whose weight a known load is.
+MASS_SHARES = (0.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A belief with a threshold effect at a finite value. label: what was tried."""
+    """A belief with an effect at a finite value. label: what was tried."""
 
     effect: str
     label: str
@@ -39,3 +44,29 @@ def plasticity_trials(predictor: Predictor, belief: Belief, last: int) -> list[T
         )
         trials.append(Trial("plasticity", f"yield stress {share * top:.4g} Pa", extended))
     return trials
+
+
+def hung_trials(capture: Capture, belief: Belief, sequences: Sequence[str]) -> list[Trial]:
+    """Known loads taken for what they most often are: weights that hang on the object, inertia and all.
+
+    A load may weigh as much as what carries it. A derivative where it has no mass says little then.
+    """
+    gravity = float(np.linalg.norm(belief.gravity))
+    if "attached_mass" in belief.effects or gravity == 0.0:
+        return []
+    trials = []
+    for settings in masses_of_loads(capture, sequences):
+        names = settings["sequences"]
+        place = np.asarray(settings["place"], float)
+        loads = [load for name in names[:1] for load in capture.sequence(name).loads]
+        nearest = min(loads, key=lambda load: float(np.linalg.norm(np.mean(load.box, axis=0) - place)))
+        mass = float(np.linalg.norm(nearest.force)) / gravity
+        for share in MASS_SHARES:
+            extended = belief.with_effect("attached_mass", {"m": share * mass}, settings)
+            trials.append(Trial("attached_mass", hung_label(settings), extended))
+    return trials
+
+
+def hung_label(settings: dict[str, object]) -> str:
+    """What a point mass is called that a known load is the weight of."""
+    return f"attached_mass, the load of {', '.join(settings['sequences'])}"

@@ -13,6 +13,7 @@ from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.grids import on_grid, probed, refined
 from mphygs.extend.refit import Refit, finish_refit, start_refit
+from mphygs.extend.simplest import among_all, without_loads
 from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -35,12 +36,16 @@ WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
 # Below this misfit [sigma] an effect is tried only where it is predicted to take this share of the excess.
 LINEAR, WORTH_A_REFIT = 2.0, 0.15
+# An effect that leaves so many times the best one's chi^2 after an iteration is not followed.
+HOPELESS = 10.0
 # Refits over a window within this factor of the best chi^2 are continued on all frames.
 ALIKE = 1.35
 # Diagnosis looks at the first frames over which the misfit is between these [sigma].
 VISIBLE, TRACTABLE = 1.25, 4.0
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
 SHORTER = (0.16, 0.1, 0.06)
+# Of the frames of other recordings, seen from the model that explains the simplest ones.
+SEEN = 0.16
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +89,10 @@ def forget(belief: Belief) -> Belief:
     return replace(belief, parameters=tuple(parameters))
 
 
-def _ratio(evaluation: Evaluation) -> float:
-    """Root mean square over sigma of the fitted frames."""
-    return float(np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1)))
+def _ratio(evaluation: Evaluation, explained: Sequence[str] = ()) -> float:
+    """Root mean square over sigma of the fitted frames, sequences that are explained left out."""
+    of = [evaluation.residual[rows] for name, rows in evaluation.rows.items() if name not in explained]
+    return float(np.sqrt(sum(r @ r for r in of) / max(sum(len(r) for r in of), 1)))
 
 
 def tractable_window(
@@ -99,22 +105,31 @@ def tractable_window(
     clearly more than noise but still small.
     """
     evaluation = current.solution.evaluation
-    if evaluation.chi_square < TRACTABLE**2 * evaluation.data_rows:
+
+    def ratio_of(evaluation: Evaluation) -> float:
+        return _ratio(evaluation, experiment.whole)
+
+    if ratio_of(evaluation) < TRACTABLE:
         return 1.0, current.solution
-    problem = experiment.problem(spacing)
-    best: tuple[float, Solution] | None = None
     belief = current.belief
+    if experiment.whole:
+        # What the other recordings have besides is seen from the model that explains the simplest.
+        evaluation = experiment.window(spacing, SEEN).evaluate(belief)
+        say(f"seen from {', '.join(experiment.whole)}: {ratio_of(evaluation):.3f} sigma")
+        if ratio_of(evaluation) > VISIBLE:
+            return SEEN, Solution(belief, evaluation, (evaluation.cost,), True, "seen from the simplest")
+    best: tuple[float, Solution] | None = None
     if not current.added:
-        belief = find_scale(problem.narrowed(WINDOWS[0]), forget(belief))
+        belief = find_scale(experiment.window(spacing, WINDOWS[0]), forget(belief))
 
     def fitted(share: float, start: Belief) -> Solution:
-        solution = minimise(problem.narrowed(share), start, iterations=8, relative_tolerance=1e-3)
-        say(f"window of {share:.0%} of the frames: {_ratio(solution.evaluation):.3f} sigma")
+        solution = minimise(experiment.window(spacing, share), start, iterations=8, relative_tolerance=1e-3)
+        say(f"window of {share:.0%} of the frames: {ratio_of(solution.evaluation):.3f} sigma")
         return solution
 
     shortest = fitted(WINDOWS[0], belief)
     for share in SHORTER:
-        if _ratio(shortest.evaluation) < TRACTABLE:
+        if ratio_of(shortest.evaluation) < TRACTABLE:
             break
         # Even that is far off: several swings, or a load that nothing in the model answers to.
         shortest = fitted(share, belief)
@@ -123,27 +138,27 @@ def tractable_window(
         return best
     for share in WINDOWS:
         solution = shortest if share == WINDOWS[0] else fitted(share, belief)
-        ratio = _ratio(solution.evaluation)
+        ratio = ratio_of(solution.evaluation)
         if best is not None and ratio > TRACTABLE:
-            if _ratio(best[1].evaluation) > VISIBLE:
+            if ratio_of(best[1].evaluation) > VISIBLE:
                 break
             # Something sets in between, a contact say. The model of the frames before it is right there:
             # what it lacks is seen from it on the frames after.
             share = 0.5 * (best[0] + share)
             before = best[1].belief
-            evaluation = problem.narrowed(share).evaluate(before)
-            say(f"seen from before, {share:.0%} of the frames: {_ratio(evaluation):.3f} sigma")
-            if _ratio(evaluation) < VISIBLE:
+            evaluation = experiment.window(spacing, share).evaluate(before)
+            say(f"seen from before, {share:.0%} of the frames: {ratio_of(evaluation):.3f} sigma")
+            if ratio_of(evaluation) < VISIBLE:
                 share = WINDOWS[-1]
-                evaluation = problem.narrowed(share).evaluate(before)
+                evaluation = experiment.window(spacing, share).evaluate(before)
             return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
         best, belief = (share, solution), solution.belief
         if ratio > VISIBLE:
             break
-    if _ratio(best[1].evaluation) < VISIBLE:
+    if ratio_of(best[1].evaluation) < VISIBLE:
         # It sets in later still.
-        evaluation = problem.evaluate(belief)
-        say(f"seen from before, all frames: {_ratio(evaluation):.3f} sigma")
+        evaluation = experiment.problem(spacing).evaluate(belief)
+        say(f"seen from before, all frames: {ratio_of(evaluation):.3f} sigma")
         return 1.0, Solution(belief, evaluation, (evaluation.cost,), True, "seen from before")
     return best
 
@@ -219,7 +234,10 @@ def refits_of(
     """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
     begun = []
     for entry in promising(ranking):
-        solution = start_refit(experiment, window[1], entry, spacing, share=window[0], report=say)
+        best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
+        solution = start_refit(
+            experiment, window[1], entry, spacing, share=window[0], hopeless=HOPELESS * best, report=say
+        )
         if solution is not None:
             begun.append((solution.evaluation.chi_square, entry, solution))
     begun.sort(key=lambda item: item[0])
@@ -233,7 +251,7 @@ def refits_of(
             try:
                 for share in _onward(window[0], entry.kind):
                     solution = minimise(
-                        experiment.problem(spacing).narrowed(share),
+                        experiment.window(spacing, share),
                         solution.belief,
                         iterations=3,
                         relative_tolerance=1e-3,
@@ -255,7 +273,7 @@ def refits_of(
             solution,
             spacing,
             generator=generator,
-            hopeless=ALIKE * best,
+            hopeless=ALIKE * max(best, solution.evaluation.data_rows),  # nothing is better than noise
             report=say,
         )
         if result is not None:
@@ -318,8 +336,14 @@ def settled(
     alike.sort(key=lambda step: excess(step.assessment))
     if alike and excess(alike[0].assessment) < CLEARLY_BETTER * excess(best.assessment) - NEGLIGIBLE:
         best, alike = alike[0], [best, *alike[1:]]
-    limit = excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE
-    tied = [best, *(r for r in alike if excess(r.assessment) < limit)]
+
+    def does_alike(rival: Step) -> bool:
+        """Every parameter more has to pay."""
+        more = max(len(best.belief.free) - len(rival.belief.free), 0)
+        limit = excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE * (1 + more)
+        return excess(rival.assessment) < limit
+
+    tied = [best, *(r for r in alike if does_alike(r))]
     # Of models that do alike the one with fewest parameters comes first.
     tied.sort(key=lambda step: (len(step.belief.free), excess(step.assessment)))
     return replace(tied[0], refits=tried, ties=tuple(r.added[0] for r in tied[1:]))
@@ -370,6 +394,22 @@ def discover(
 
     without_bad_tracks()
     steps[-1] = refined(experiment, steps, report, screening=screening)
+    simple = without_loads(experiment)
+    if simple and len(steps) == 1 and not steps[0].explained:
+        say(f"first {', '.join(simple)}: no load pulls there")
+        inner = experiment.only(simple)
+        alone = discover(
+            inner, belief, spacing, seed=seed, names=names, screening=screening, report=report
+        )
+        experiment.problems.clear()  # bad tracks may have been left out
+        for step in alone.steps[1:]:
+            steps.append(among_all(experiment, steps[0].belief, step))
+            if on_step:
+                on_step(steps[-1])
+        rankings.extend(alone.rankings)
+        warnings.extend(alone.warnings)
+        if alone.steps[-1].explained:
+            experiment.whole = simple
     while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         if names is not None and set(names) <= set(steps[-1].belief.effects):
             break
@@ -411,6 +451,7 @@ def discover(
         step = step_of(best, spacing, finished)
         others = [step_of(r, spacing, ()) for r in rivals]
         steps.append(settled(experiment, steps, step, others, report, screening=screening))
+        experiment.whole = ()  # one model of all recordings from here on
         if on_step:
             on_step(steps[-1])
         without_bad_tracks()

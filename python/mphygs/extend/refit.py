@@ -15,6 +15,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.scope import in_scope
 
 # Frames of one block of the bootstrap on unseen frames: errors within one swing hang together.
 BLOCK_FRAMES = 8
@@ -88,14 +89,15 @@ def start_refit(
     *,
     share: float = 1.0,
     iterations: int = 3,
+    hopeless: float = math.inf,
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
     """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate.
 
-    share: of the fitted frames, from the first on, to refit on. Returns None where no such model can be
-    simulated.
+    share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends after the
+    first iteration. Returns None where no such model can be simulated.
     """
-    problem = experiment.problem(spacing).narrowed(share)
+    problem = experiment.window(spacing, share)
     strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
     best, best_cost = None, np.inf
     predictor = next(iter(problem.predictors.values()))
@@ -120,12 +122,16 @@ def start_refit(
     if best is None:
         return None
     try:
-        solution = minimise(problem, best, iterations=iterations, relative_tolerance=1e-3)
+        solution = minimise(problem, best, iterations=1, relative_tolerance=1e-3)
+        done = len(solution.history) - 1
+        if iterations > 1 and not solution.converged and solution.evaluation.chi_square < hopeless:
+            solution = minimise(problem, solution.belief, iterations=iterations - 1, relative_tolerance=1e-3)
+            done += len(solution.history) - 1
     except SimulationError:
         return None
     if report:
         rms = np.sqrt(solution.evaluation.chi_square / max(solution.evaluation.data_rows, 1))
-        report(f"with {entry.label}: {rms:.3f} sigma after {len(solution.history) - 1} iterations")
+        report(f"with {entry.label}: {rms:.3f} sigma after {done} iterations")
     return solution
 
 
@@ -171,9 +177,18 @@ def finish_refit(
         solution,
         compared,
         assessment,
-        unseen_gain(compared_before, compared, generator),
+        unseen_gain(
+            *(_in_scope(c, solution.belief, entry.effect) for c in (compared_before, compared)), generator
+        ),
         before.evaluation.chi_square - solution.evaluation.chi_square,
     )
+
+
+def _in_scope(compared: dict[str, Compared], belief: Belief, name: str) -> dict[str, Compared]:
+    """The comparisons of the sequences that have an effect: what only some have is judged by those."""
+    if name not in belief.effects:
+        return compared
+    return {key: item for key, item in compared.items() if in_scope(belief, name, key)}
 
 
 def unseen_gain(

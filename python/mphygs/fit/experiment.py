@@ -35,7 +35,8 @@ def _drop_shifts(belief: Belief, keep: Sequence[str]) -> Belief:
 
 @dataclass(eq=False)
 class Experiment:
-    """fitted: sequence -> frames to fit; compared ranges come from the capture.
+    """fitted: sequence -> frames to fit; compared ranges come from the capture; whole: sequences that
+    windows do not shorten.
 
     Bodies, models and noise are built once per spacing and shared by every fit and comparison.
     """
@@ -45,6 +46,7 @@ class Experiment:
     fitted: dict[str, tuple[int, int]]
     observations: dict[str, Observation] = field(default_factory=dict)
     problems: dict[float, Problem] = field(default_factory=dict)
+    whole: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -89,6 +91,21 @@ class Experiment:
         for name in self.fitted:
             self._observe(name, self.problems[spacing].predictors[name])
         return self.problems[spacing]
+
+    def window(self, spacing: float, share: float) -> Problem:
+        """The fit to the first share of every range's frames, those of `whole` left as they are."""
+        problem = self.problem(spacing)
+        if share >= 1.0:
+            return problem
+        narrow = problem.narrowed(share)
+        return narrow.with_ranges(narrow.ranges | {name: problem.ranges[name] for name in self.whole})
+
+    def only(self, names: Sequence[str]) -> Experiment:
+        """The experiment on some of its fitted sequences, as if the others had not been recorded."""
+        kept = tuple(s for s in self.capture.sequences if s.name in names)
+        fitted = {name: self.fitted[name] for name in names}
+        capture = replace(self.capture, sequences=kept)
+        return Experiment(capture, self.settings, fitted, self.observations)
 
     def _observe(self, name: str, predictor: Predictor) -> None:
         if name not in self.observations:

@@ -1,0 +1,38 @@
+"""Several recordings of one object: the simplest are explained first, then the others with what was found.
+
+A recording with a load has the physics of the one without and more. Fitted together from the start, each
+spoils what the other says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mphygs.extend.step import Step
+from mphygs.extend.steps import step_at
+from mphygs.fit.experiment import Experiment
+from mphygs.model.belief import Belief
+
+
+def without_loads(experiment: Experiment) -> tuple[str, ...]:
+    """Fitted sequences that no known load pulls at; none where all or no sequence is such."""
+    simple = tuple(name for name in experiment.fitted if not experiment.capture.sequence(name).loads)
+    return simple if len(simple) < len(experiment.fitted) else ()
+
+
+def among_all(experiment: Experiment, first: Belief, step: Step) -> Step:
+    """A step that was found on some sequences, compared on all.
+
+    first: the belief of all sequences, which has what the step's lacks (the release of the others).
+    """
+    found = {parameter.key: parameter for parameter in step.belief.parameters}
+    parameters = []
+    for p in first.parameters:
+        if p.free and p.key in found:
+            # what the other recordings alone can tell was fitted with a model that is now another one
+            p = replace(p, value=found[p.key].value if found[p.key].free else p.prior_mean)
+        parameters.append(p)
+    own = {parameter.key for parameter in first.parameters}
+    parameters += [parameter for key, parameter in found.items() if key not in own]
+    belief = replace(step.belief, parameters=tuple(parameters))
+    return step_at(experiment, belief, step.spacing, added=step.added, ties=step.ties)
