@@ -6,12 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
+from mphygs.compare.autoregression import Autoregression
 from mphygs.compare.whitening import NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 
 # Without a stated sigma and without rest footage: what good marker systems reach.
 DEFAULT_SIGMA = 2e-4
+# Of the variance of a track's errors, the share that is carried from frame to frame.
+CARRIED_SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +62,8 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     if markers is None:
         raise ValueError(f"sequence '{recording.name}' has no markers")
     position = np.asarray(markers.position, float)
+    if markers.spread is not None:
+        return Observation(position, _noise_of_tracks(markers), np.ones(position.shape[1]))
     rest, what = None, ""
     if recording.release is not None and recording.release >= 20:
         # The last two frames may already move: the release is uncertain by that much.
@@ -95,3 +101,17 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 scale_degrees=noise.scale_degrees,
             )
     return Observation(position, noise, np.ones(position.shape[1]))
+
+
+def _noise_of_tracks(markers: Markers) -> NoiseModel:
+    """Noise of tracks from video as their stage states it: they drift, each with a scale of its own."""
+    carried = CARRIED_SHARE if markers.memory > 0.0 else 0.0
+    none = np.asarray(0.0)
+    return NoiseModel(
+        sigma=np.asarray(markers.spread, float),
+        source=f"tracks from video: scale as stated, {markers.memory:.2f} of an error carried to the next frame",
+        correlated_share=np.asarray(carried),
+        correlation=Autoregression((markers.memory,) if markers.memory > 0.0 else ()),
+        common_sigma=none,
+        common_correlation=Autoregression(),
+    )

@@ -145,6 +145,7 @@ def fit_by_windows(
     after_stage: Callable[[PaperStage, Solution], None] | None = None,
     start_stage: int = 0,
     problems: dict[float, Problem] | None = None,
+    plan: tuple[PaperStage, ...] | None = None,
 ) -> Solution:
     """Run the paper's stages from a belief; arguments as those of `fit_belief`.
 
@@ -157,7 +158,7 @@ def fit_by_windows(
     if settings.spacing not in problems:
         problems[settings.spacing] = Problem(capture, settings, ranges, observations)
     problem = problems[settings.spacing].with_ranges(ranges)
-    plan = paper_plan(settings.spacing, ranges)
+    plan = paper_plan(settings.spacing, ranges) if plan is None else plan
     solution = None
     for number, stage in enumerate(plan):
         if number < start_stage:

@@ -146,13 +146,15 @@ def fit_belief(
     after_stage: Callable[[Stage, Solution], None] | None = None,
     start_stage: int = 0,
     problems: dict[float, Problem] | None = None,
+    plan: tuple[Stage, ...] | None = None,
 ) -> tuple[Solution, Problem]:
     """Run the schedule from a belief. Returns the last stage's solution and problem.
 
     ranges: frames to fit per sequence; settings.spacing is the fine spacing; warm: the belief is near its
-    minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here.
+    minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here;
+    plan: stages in place of the usual ones.
     """
-    plan = plan_of(capture, settings.spacing, warm=warm)
+    plan = plan_of(capture, settings.spacing, warm=warm) if plan is None else plan
     problems = {} if problems is None else problems
     solution = None
     earlier: tuple[Belief, ...] = ()
