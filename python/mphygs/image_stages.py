@@ -55,7 +55,9 @@ def missing_stages(capture: Capture, folder: Path) -> list[Stage]:
         if not recording.held:
             found.append(Stage(f"contact {name}", "contact", own, files.hold(name)))
         if not files.tracks(name).exists():
-            found.insert(-1 if recording.held else -2, Stage(f"register {name}", "register", own, files.pose(name)))
+            found.insert(
+                -1 if recording.held else -2, Stage(f"register {name}", "register", own, files.pose(name))
+            )
     return [stage for stage in found if not stage.file.exists()]
 
 
@@ -81,7 +83,9 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
         module = importlib.import_module(f"mphygs.{stage.command}")
         code = module.main([str(path), "--out", str(run), *stage.arguments])
         if code != DONE or not stage.file.exists():
-            raise StageError(f"{stage.file}: was not made by mphygs {stage.command}; expected it, or your own file")
+            raise StageError(
+                f"{stage.file}: was not made by mphygs {stage.command}; expected it, or your own file"
+            )
         seconds[stage.name] = seconds.get(stage.name, 0.0) + time.monotonic() - began
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SECONDS).write_text(json.dumps(seconds, indent=1) + "\n")

@@ -89,9 +89,12 @@ def gaussians_of_truth(capture: Path, count: int, *, iterations: int = 60) -> Ga
     """Round Gaussians on the true surface, of the colours that the rest views show."""
     parts = load_capture(capture / "truth").parts
     triangles = np.concatenate([part.vertices[part.faces] for part in parts])
-    area = 0.5 * np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    ).sum()
+    area = (
+        0.5
+        * np.linalg.norm(
+            np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+        ).sum()
+    )
     points = exposed_surface(parts, max_edge=float(np.sqrt(area / count))).points
     distance = cKDTree(points).query(points, k=4)[0][:, 1:].mean(axis=1)
     number = len(points)
@@ -105,7 +108,9 @@ def gaussians_of_truth(capture: Path, count: int, *, iterations: int = 60) -> Ga
     )
     photographs = rest_views_of(load_capture(capture)).read()
     raw = RawGaussians(gaussians)
-    rates = dict.fromkeys(("positions", "rotations", "log_scales", "logit_opacities", "harmonics", "features"), 0.0)
+    rates = dict.fromkeys(
+        ("positions", "rotations", "log_scales", "logit_opacities", "harmonics", "features"), 0.0
+    )
     rates |= {"constant": 0.1, "log_scales": 0.01}
     for iteration in range(iterations):
         photograph = photographs[iteration % len(photographs)]

@@ -37,7 +37,9 @@ class Markers:
         if not 0.0 <= self.memory < 1.0:
             raise ValueError(f"memory: {self.memory}; expected 0 up to, not including, 1")
         if self.spread is not None and (
-            self.spread.shape != (len(self.at),) or not np.isfinite(self.spread).all() or self.spread.min() <= 0
+            self.spread.shape != (len(self.at),)
+            or not np.isfinite(self.spread).all()
+            or self.spread.min() <= 0
         ):
             raise ValueError(f"spread: expected {len(self.at)} standard deviations above zero [m]")
 

@@ -35,7 +35,7 @@ def frame_metrics(shown: Shown) -> ImageMetrics:
 def range_errors(
     metrics: Mapping[int, ImageMetrics], fit: tuple[int, int], predict: tuple[int, int]
 ) -> dict[str, dict[str, float] | None]:
-    """"fit", "predict", "all" -> psnr [dB], iou, chamfer_px, means over frames; None without a frame.
+    """ "fit", "predict", "all" -> psnr [dB], iou, chamfer_px, means over frames; None without a frame.
 
     metrics: by frame; fit, predict: ranges of frames, of which a frame fitted counts as fitted only.
     """

@@ -109,7 +109,7 @@ def _noise_of_tracks(markers: Markers) -> NoiseModel:
     none = np.asarray(0.0)
     return NoiseModel(
         sigma=np.asarray(markers.spread, float),
-        source=f"tracks from video: scale as stated, {markers.memory:.2f} of an error carried to the next frame",
+        source=f"tracks from video: scale as stated, correlation {markers.memory:.2f} from frame to frame",
         correlated_share=np.asarray(carried),
         correlation=Autoregression((markers.memory,) if markers.memory > 0.0 else ()),
         common_sigma=none,

@@ -114,7 +114,11 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
     console.begin()
-    if state.stages is not None:
+    if state.options.get("homogeneous"):
+        from mphygs.baselines.homogeneous import fit_homogeneous
+
+        state = fit_homogeneous(state, experiment, console.say)
+    elif state.stages is not None:
         state = fit_pictured(state, experiment, console)
     else:
         given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
@@ -220,7 +224,9 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     wanted = names(options.sequences)
     belief = starting_belief(capture, prestress=options.prestress, law=options.law)
     if stages is not None:
-        belief = pictured_belief(belief, stages, without=names(options.without), homogeneous=options.homogeneous)
+        belief = pictured_belief(
+            belief, stages, without=names(options.without), homogeneous=options.homogeneous
+        )
     frames = _frames(options.frames, capture, wanted)
     try:
         experiment = Experiment.of(capture, settings, sequences=wanted or None, frames=frames)
@@ -248,7 +254,12 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
 def _in_stages(options: FitOptions) -> bool:
     """Whether the run in --out was broken off before its fit began."""
     folder = options.out
-    return folder is not None and not is_run(folder) and (folder / FOLDER).is_dir() and options.capture is not None
+    return (
+        folder is not None
+        and not is_run(folder)
+        and (folder / FOLDER).is_dir()
+        and options.capture is not None
+    )
 
 
 def _seen(options: FitOptions, capture: Capture, out: Path, console: Console) -> tuple[Path | None, Capture]:

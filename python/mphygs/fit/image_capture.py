@@ -145,12 +145,14 @@ def _chosen(path: Path, recording: Recording, tracks: Tracks, size: float) -> Tr
     number = np.sort(number[order])
     away = np.nanmedian(np.linalg.norm(tracks.position[0, number] - tracks.rest[number], axis=1))
     if away > 0.5 * size:
-        raise fault(f"{path}: position", f"begins {away:.3g} m from rest", "points in m in the object's frame")
+        raise fault(
+            f"{path}: position", f"begins {away:.3g} m from rest", "points in m in the object's frame"
+        )
     return Tracks(tracks.rest[number], tracks.position[:, number], tracks.sigma[number])
 
 
 def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
-    """(count,) indices of points (N, 3), each the farthest from those before; the first nearest the middle."""
+    """(count,) indices of points (N, 3), each the farthest from those before, from the middle on."""
     chosen = [int(np.linalg.norm(points - points.mean(0), axis=1).argmin())]
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < count:
@@ -160,7 +162,7 @@ def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def _markers(recording: Recording, tracks: Tracks) -> Markers:
-    """Tracks as markers. Those on what is held show how far to trust all of them, and how long errors last."""
+    """Tracks as markers. Those on what is held show how far to trust all, and how long errors last."""
     errors = _held_errors(recording, tracks)
     factor, memory = 1.0, USUAL_MEMORY
     if errors.shape[1] >= _FEWEST_HELD:

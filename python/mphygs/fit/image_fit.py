@@ -16,6 +16,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
+from mphygs.capture.views import Photograph
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.pictured import Pictured
 from mphygs.model.belief import Belief
@@ -45,15 +46,17 @@ class ImageFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Watched:
-    """Frames of one sequence that are compared. pictures: what was seen, by frame."""
+class Watched:
+    """Frames of one sequence that are compared. photographs, pictures: what was seen, by frame."""
 
     fitted: tuple[int, ...]
     left_out: tuple[int, ...]
+    photographs: Mapping[int, Sequence[Photograph]]
     pictures: Mapping[int, Sequence[Observation]]
 
     @property
     def last(self) -> int:
+        """Frames to simulate."""
         return max((*self.fitted, *self.left_out)) + 1
 
 
@@ -68,7 +71,7 @@ def fit_to_pictures(
 
     solution: with Jacobian. Raises SimulationError where its belief cannot be simulated.
     """
-    watched = {name: _watch(pictured, name, span) for name, span in pictured.experiment.fitted.items()}
+    watched = {name: watch(pictured, name, span) for name, span in pictured.experiment.fitted.items()}
     belief = solution.belief
     jacobian = solution.evaluation.jacobian
     normal = jacobian.T @ jacobian / max(2.0 * solution.evaluation.cost, 1e-300)
@@ -80,7 +83,9 @@ def fit_to_pictures(
 
     def losses(found: Mapping[str, Prediction]) -> tuple[float, float]:
         return tuple(
-            float(np.mean([_loss(pictured, name, w, found[name], frames, weights) for name, w, frames in rows]))
+            float(
+                np.mean([_loss(pictured, name, w, found[name], frames, weights) for name, w, frames in rows])
+            )
             for rows in (
                 [(name, w, w.fitted) for name, w in watched.items()],
                 [(name, w, w.left_out) for name, w in watched.items()],
@@ -119,7 +124,7 @@ def fit_to_pictures(
     return ImageFit(belief, tuple(history), tuple(kept_out))
 
 
-def _watch(pictured: Pictured, name: str, span: tuple[int, int]) -> _Watched:
+def watch(pictured: Pictured, name: str, span: tuple[int, int]) -> Watched:
     """Frames spread over a range, and what the cameras saw in them."""
     first, last = span
     frames = np.unique(np.linspace(first, last - 1, FITTED_FRAMES + LEFT_OUT_FRAMES).round().astype(int))
@@ -127,20 +132,19 @@ def _watch(pictured: Pictured, name: str, span: tuple[int, int]) -> _Watched:
     left_out = frames[1:-1:3] if len(frames) > 3 else frames
     fitted = np.setdiff1d(frames, left_out) if len(frames) > 3 else frames
     views = pictured.views(name)
-    pictures = {}
-    for frame in frames:
-        photographs = views.read(int(frame))
-        factors = [max(1, -(-max(p.camera.width, p.camera.height) // LARGEST_SIDE)) for p in photographs]
-        pictures[int(frame)] = [
-            observation_of(p.shrunk(factor)) for p, factor in zip(photographs, factors, strict=True)
-        ]
-    return _Watched(tuple(map(int, fitted)), tuple(map(int, left_out)), pictures)
+    photographs, pictures = {}, {}
+    for frame in map(int, frames):
+        found = views.read(frame)
+        factors = [max(1, -(-max(p.camera.width, p.camera.height) // LARGEST_SIDE)) for p in found]
+        photographs[frame] = [p.shrunk(factor) for p, factor in zip(found, factors, strict=True)]
+        pictures[frame] = [observation_of(p) for p in photographs[frame]]
+    return Watched(tuple(map(int, fitted)), tuple(map(int, left_out)), photographs, pictures)
 
 
 def _loss(
     pictured: Pictured,
     name: str,
-    watched: _Watched,
+    watched: Watched,
     prediction: Prediction,
     frames: Sequence[int],
     weights: VideoWeights,
@@ -160,7 +164,7 @@ def _loss(
 def _frame_loss(
     pictured: Pictured,
     name: str,
-    watched: _Watched,
+    watched: Watched,
     positions: np.ndarray | Tensor,
     frame: int,
     weights: VideoWeights,
@@ -173,7 +177,7 @@ def _frame_loss(
 
 def _best_step(
     pictured: Pictured,
-    watched: Mapping[str, _Watched],
+    watched: Mapping[str, Watched],
     now: Mapping[str, Prediction],
     weights: VideoWeights,
     normal: np.ndarray,

@@ -47,9 +47,7 @@ def fit_pictured(run: Run, experiment: Experiment, console: Reporter) -> Run:
     """
     without = tuple(name.strip() for name in str(run.options.get("without") or "").split(",") if name.strip())
     given = {name: str(run.options[name]) for name in ("optimiser", "schedule")}
-    run = fit_run(
-        run, experiment, **given, windows="windows" not in without, progress=console.progress
-    )
+    run = fit_run(run, experiment, **given, windows="windows" not in without, progress=console.progress)
     if "l2d" in without or run.history[-1].name == PICTURES:
         return run
     return _to_pictures(run, experiment, console, distance="ldt" not in without)

@@ -42,7 +42,8 @@ class Run:
     """A fit, finished or on its way.
 
     folder: where it is kept; options: of the command, as given; capture: folder of the capture fitted,
-    digest: of its content; stages: folder of the stages of an image capture, None for others; settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
+    digest: of its content; stages: folder of the stages of an image capture, None for others;
+    settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
     covariance: (P, P) of the free coordinates, information: (P, P) what the measurements alone say of them,
     both None until the fit is complete; history: stages done;
     start: the belief that the fit began with; left_out:

@@ -110,12 +110,14 @@ def read_tracks(path: Path, *, frames: int) -> Tracks:
     if np.isinf(position).any():
         raise fault(f"{path}: position", "is infinite", "numbers, NaN where a point was not seen")
     if sigma.shape not in ((), (len(rest),)) or not np.all(sigma > 0) or not np.isfinite(sigma).all():
-        raise fault(f"{path}: sigma", "is no standard deviation", f"one number or {len(rest)}, above zero [m]")
+        raise fault(
+            f"{path}: sigma", "is no standard deviation", f"one number or {len(rest)}, above zero [m]"
+        )
     return Tracks(rest, position, np.broadcast_to(sigma, (len(rest),)).copy())
 
 
 def read_motion(path: Path, *, frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Box (2, 3) [m] at rest, position (T, 3) [m] and unit quaternion (T, 4) of a hold. Raises CaptureError."""
+    """Box (2, 3) at rest [m], position (T, 3) [m], unit quaternion (T, 4) of a hold. Raises CaptureError."""
     arrays = _arrays(path, {"position": (None, 3), "quaternion": (None, 4), "box": (2, 3)})
     box, position, quaternion = (_finite(path, n, arrays[n]) for n in ("box", "position", "quaternion"))
     for name, values in (("position", position), ("quaternion", quaternion)):
@@ -124,15 +126,21 @@ def read_motion(path: Path, *, frames: int) -> tuple[np.ndarray, np.ndarray, np.
     length = np.linalg.norm(quaternion, axis=1)
     if np.abs(length - 1).max() > _UNIT:
         frame = int(np.abs(length - 1).argmax())
-        raise fault(f"{path}: quaternion", f"has length {length[frame]:.4g} in frame {frame}", "unit (w, x, y, z)")
+        raise fault(
+            f"{path}: quaternion", f"has length {length[frame]:.4g} in frame {frame}", "unit (w, x, y, z)"
+        )
     if (box[0] > box[1]).any():
-        raise fault(f"{path}: box", "has its lower corner above its upper one", "[lower corner, upper corner]")
+        raise fault(
+            f"{path}: box", "has its lower corner above its upper one", "[lower corner, upper corner]"
+        )
     return box, position, quaternion / length[:, None]
 
 
 def _finite(path: Path, name: str, values: np.ndarray) -> np.ndarray:
     if not np.isfinite(values).all():
-        raise fault(f"{path}: {name}", f"is not finite in row {np.argwhere(~np.isfinite(values))[0, 0]}", "numbers")
+        raise fault(
+            f"{path}: {name}", f"is not finite in row {np.argwhere(~np.isfinite(values))[0, 0]}", "numbers"
+        )
     return values
 
 

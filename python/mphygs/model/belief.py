@@ -86,7 +86,9 @@ class Likeness:
 
     def __post_init__(self) -> None:
         if len(self.keys) != len(self.coefficients) or not self.std > 0:
-            raise ValueError(f"likeness of {', '.join(self.keys)}: expected a coefficient each, std above zero")
+            raise ValueError(
+                f"likeness of {', '.join(self.keys)}: expected a coefficient each, std above zero"
+            )
 
 
 @dataclass(frozen=True)

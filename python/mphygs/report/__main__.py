@@ -119,7 +119,7 @@ def commands_of(state: Run) -> list[str]:
     for key, value in options.items():
         if key in ("json", "resume", "out", "workers", "capture", "run", "effect") or value in (None, False):
             continue
-        words += [f"--{key.replace('_', '-')}", str(value)]
+        words += [f"--{key.replace('_', '-')}"] + ([] if value is True else [str(value)])
     if "effect" in options:
         words[2:2] = [str(options["run"]), *options["effect"]]
     elif options.get("capture"):
