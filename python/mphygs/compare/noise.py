@@ -14,8 +14,6 @@ from mphygs.simulate.body import Attachment
 
 # Without a stated sigma and without rest footage: what good marker systems reach.
 DEFAULT_SIGMA = 2e-4
-# Of the variance of a track's errors, the share that is carried from frame to frame.
-CARRIED_SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +103,12 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
 
 def _noise_of_tracks(markers: Markers) -> NoiseModel:
     """Noise of tracks from video as their stage states it: they drift, each with a scale of its own."""
-    carried = CARRIED_SHARE if markers.memory > 0.0 else 0.0
+    lasting = markers.lasting if markers.memory > 0.0 else 0.0
     none = np.asarray(0.0)
     return NoiseModel(
         sigma=np.asarray(markers.spread, float),
-        source=f"tracks from video: scale as stated, correlation {markers.memory:.2f} from frame to frame",
-        correlated_share=np.asarray(carried),
+        source=f"tracks from video: scale as stated, {lasting:.2f} of it lasts by {markers.memory:.2f} a frame",
+        correlated_share=np.asarray(lasting),
         correlation=Autoregression((markers.memory,) if markers.memory > 0.0 else ()),
         common_sigma=none,
         common_correlation=Autoregression(),

@@ -25,8 +25,8 @@ from mphygs.fit.stage_files import StageFolder, Tracks, read_motion, read_segmen
 TRACK_COUNT = 250
 # Of the frames that are used, a track must be seen in so many to be chosen; of the median sigma, the largest.
 LEAST_SEEN, LARGEST_SIGMA = 0.5, 3.0
-# What one frame's error of a track tells of the next one's, where nothing held shows it.
-USUAL_MEMORY, LARGEST_MEMORY = 0.9, 0.97
+# How errors of tracks last where nothing held shows it, and at most.
+USUAL_MEMORY, USUAL_LASTING, LARGEST_MEMORY = 0.95, 0.9, 0.97
 _FEWEST_HELD = 3
 
 
@@ -164,18 +164,25 @@ def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
 def _markers(recording: Recording, tracks: Tracks) -> Markers:
     """Tracks as markers. Those on what is held show how far to trust all, and how long errors last."""
     errors = _held_errors(recording, tracks)
-    factor, memory = 1.0, USUAL_MEMORY
+    factor, memory, lasting = 1.0, USUAL_MEMORY, USUAL_LASTING
     if errors.shape[1] >= _FEWEST_HELD:
         scaled = errors / tracks.sigma[_held_tracks(recording, tracks)][:, None]
         factor = max(1.0, float(np.sqrt(np.nanmean(scaled**2))))
-        pairs = np.isfinite(scaled[1:] * scaled[:-1])
-        one, other = scaled[1:][pairs], scaled[:-1][pairs]
-        scale = float(np.sqrt(np.sum(one**2) * np.sum(other**2)))
-        memory = float(np.clip(one @ other / scale, 0.0, LARGEST_MEMORY)) if scale > 0 else 0.0
+        near, far = _correlation(scaled, 1), _correlation(scaled, 2)
+        # of an error that lasts and one that does not: near = lasting memory, far = lasting memory^2
+        memory = float(np.clip(far / near, near, LARGEST_MEMORY)) if near > 0.0 else 0.0
+        lasting = min(near / memory, 1.0) if memory > 0.0 else 0.0
     spread = factor * tracks.sigma
-    return Markers(
-        tracks.position, tracks.rest, float(np.sqrt(np.mean(spread**2))), spread=spread, memory=memory
-    )
+    sigma = float(np.sqrt(np.mean(spread**2)))
+    return Markers(tracks.position, tracks.rest, sigma, spread=spread, memory=memory, lasting=lasting)
+
+
+def _correlation(errors: np.ndarray, lag: int) -> float:
+    """Correlation, at least 0, of errors (T, H, 3) so many frames apart; 0 where there are none."""
+    one, other = errors[lag:], errors[:-lag]
+    both = np.isfinite(one * other)
+    scale = float(np.sqrt(np.sum(one[both] ** 2) * np.sum(other[both] ** 2)))
+    return max(float(one[both] @ other[both]) / scale, 0.0) if scale > 0 else 0.0
 
 
 def _held_tracks(recording: Recording, tracks: Tracks) -> np.ndarray:

@@ -15,7 +15,7 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.views import SequenceViews, rest_views_of, sequence_views_of
 from mphygs.compare.drawn import Drawn
-from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors
+from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors, still
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import Placement, placement_of
 from mphygs.fit.stage_files import StageFolder, read_particles
@@ -116,6 +116,13 @@ class Pictured:
             return fit, recording.predict
         used = [r for r in (recording.fit, recording.predict) if r[1] > r[0]]
         return fit, (min(a for a, _ in used), max(b for _, b in used))
+
+    def still(self, belief: Belief, name: str, *, count: int = 4) -> bytes:
+        """A PNG of a few frames of a sequence, the last one among them, over their predictions."""
+        frames = frames_of(self.ranges(name))
+        chosen = [frames[k] for k in np.linspace(0, len(frames) - 1, count + 1).round().astype(int)[1:]]
+        prediction = self.moved(name, belief, last=frames[-1] + 1)
+        return still(list(self.shown(name, prediction, chosen)))
 
     def errors(
         self,

@@ -168,7 +168,7 @@ def digest_of(capture: Capture) -> str:
         if recording.markers is not None:
             add(recording.markers.at, recording.markers.position, recording.markers.sigma)
             if recording.markers.spread is not None:
-                add(recording.markers.spread, recording.markers.memory)
+                add(recording.markers.spread, recording.markers.memory, recording.markers.lasting)
     return hashed.hexdigest()
 
 
