@@ -25,7 +25,7 @@ def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, 
     state = load_run(run)
     truth = load_capture(capture / "truth")
     files = StageFolder(state.stages)
-    particles = read_particles(files.particles, len(list(files.parts.glob("*.ply"))))
+    particles = read_particles(files.particles, len(list(files.parts.glob("*.ply")))).within()
     true_part = closest_material(truth.parts, particles.position).part
     names = [part.name for part in truth.parts]
     parts = json.loads((capture / "answer.json").read_text())["parts"]

@@ -18,7 +18,8 @@ from mphygs.report import __main__ as report
 from pictured_example import SHOOT, pictured_flower, stages_of_truth
 
 SPACING = 0.009
-OPTIONS = ("--spacing", SPACING, "--workers", 1)
+# The paper's way to carry gravity at rest needs no rest shape to be solved for.
+OPTIONS = ("--spacing", SPACING, "--workers", 1, "--prestress", "paper")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def test_fit_finds_the_stem_and_predicts_the_pictures(fitted: dict, capture: Pat
     assert fitted["sequences"]["turned"]["fit"] is None
     run = load_run(fitted["run"])
     assert run.history[-1].name == "pictures" and len(run.belief.likenesses) > 4
-    assert run.stages.is_dir() and run.belief.prestress == "equilibrium"
+    assert run.stages.is_dir() and run.belief.prestress == "paper"
 
 
 def test_pictures_tell_a_wrong_motion_from_the_right_one(fitted: dict) -> None:
@@ -58,7 +59,7 @@ def test_pictures_tell_a_wrong_motion_from_the_right_one(fitted: dict) -> None:
     experiment, belief = experiment_of(run, workers=1)
     pictured = pictured_of(run, experiment)
     right = pictured.errors(belief, names=["frog"])["frog"]["all"]
-    soft = belief.with_parameter("segment-00.youngs_modulus", value=8e4)
+    soft = belief.with_parameter("segment-00.youngs_modulus", value=1e5)
     wrong = pictured.errors(soft, names=["frog"])["frog"]["all"]
     assert wrong["iou"] < right["iou"] - 0.02 and wrong["chamfer_px"] > 1.5 * right["chamfer_px"]
     assert wrong["psnr"] < right["psnr"]

@@ -168,7 +168,7 @@ def test_segments_that_look_alike_are_held_together_and_others_are_not() -> None
     rng = np.random.default_rng(0)
     label = np.repeat([0, 1, 2], 200)
     look = np.array([[1.0, 0], [1.0, 0], [0, 1.0]])[label] + 1e-3 * rng.standard_normal((600, 2))
-    particles = Particles(rng.uniform(size=(600, 3)), label, look)
+    particles = Particles(rng.uniform(size=(600, 3)), label, look, np.zeros(600, bool))
     alike = alikeness(particles, 3)
     assert alike[0, 1] == pytest.approx(0.5, abs=0.1) and alike[0, 2] < 1e-6
     capture = Capture("x", Path("."), np.zeros(3), (), "stress-free", Known(), ())

@@ -107,7 +107,7 @@ def _noise_of_tracks(markers: Markers) -> NoiseModel:
     none = np.asarray(0.0)
     return NoiseModel(
         sigma=np.asarray(markers.spread, float),
-        source=f"tracks from video: scale as stated, {lasting:.2f} of it lasts by {markers.memory:.2f} a frame",
+        source=f"tracks from video: as stated, {lasting:.2f} of it lasts by {markers.memory:.2f} a frame",
         correlated_share=np.asarray(lasting),
         correlation=Autoregression((markers.memory,) if markers.memory > 0.0 else ()),
         common_sigma=none,

@@ -18,11 +18,14 @@ from torch import Tensor
 
 from mphygs.capture.views import Photograph
 from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.paper import adam
+from mphygs.fit.paper_plan import ITERATIONS
 from mphygs.fit.pictured import Pictured
 from mphygs.model.belief import Belief
 from mphygs.render.video_loss import Observation, VideoWeights, observation_of, video_loss
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction
+from mphygs.simulate.prediction_gradient import predict_with_gradient
 
 # Frames of a sequence that are compared, fitted ones and left-out ones between them, and the longest side of
 # their pictures [px].
@@ -213,3 +216,65 @@ def _best_step(
         measure, np.zeros(count), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxfun": EVALUATIONS}
     )
     return scale * found.x
+
+
+def fit_to_pictures_by_adam(
+    pictured: Pictured,
+    belief: Belief,
+    *,
+    weights: VideoWeights,
+    report: Callable[[str], None] | None = None,
+) -> ImageFit:
+    """The paper's last stage: Adam on L_2D over all fitted frames that are watched, through the adjoint.
+
+    L_2D counts relative to its start, as many times as pictures are compared, beside the priors. Raises
+    SimulationError where the belief cannot be simulated.
+    """
+    watched = {name: watch(pictured, name, span) for name, span in pictured.experiment.fitted.items()}
+    problem = pictured.experiment.problem(pictured.experiment.settings.spacing)
+    keys = tuple(p.key for p in belief.free)
+
+    def losses(at: Belief) -> tuple[float, float]:
+        found = {name: pictured.moved(name, at, last=w.last) for name, w in watched.items()}
+        return tuple(
+            float(np.mean([_loss(pictured, n, w, found[n], frames(w), weights) for n, w in watched.items()]))
+            for frames in (lambda w: w.fitted, lambda w: w.left_out)
+        )
+
+    start = losses(belief)
+    compared = sum(len(w.pictures[t]) for w in watched.values() for t in w.fitted)
+
+    def measure(at: Belief) -> tuple[float, np.ndarray]:
+        residual, jacobian = problem.prior_rows(at)
+        cost, gradient = 0.5 * float(residual @ residual), jacobian.T @ residual
+        for name, one in watched.items():
+            share = compared / (start[0] * len(watched) * len(one.fitted))
+            total = 0.0
+
+            def slope(position: np.ndarray, name: str = name, one: Watched = one, share: float = share):
+                nonlocal total
+                bar = np.zeros_like(position)
+                for t in one.fitted:
+                    points = torch.from_numpy(position[t].copy()).requires_grad_()
+                    loss = _frame_loss(pictured, name, one, points, t, weights)
+                    loss.backward()
+                    total += share * float(loss.detach())
+                    bar[t] = share * points.grad.numpy()
+                return bar
+
+            last = max(one.fitted) + 1
+            _, part = predict_with_gradient(pictured.predictor(name), at, slope, keys=keys, last=last)
+            cost, gradient = cost + total, gradient + part
+        if not np.isfinite(cost) or not np.isfinite(gradient).all():
+            raise SimulationError("the prediction or its gradient is not finite")
+        return cost, gradient
+
+    def tell(iteration: int, cost: float) -> None:
+        if report:
+            report(f"pictures: iteration {iteration} of {ITERATIONS}, cost {cost:.4g}")
+
+    found, _ = adam(measure, belief, tell)
+    end = losses(found)
+    if end[0] >= start[0]:
+        return ImageFit(belief, (start[0],), (start[1],))
+    return ImageFit(found, (start[0], end[0]), (start[1], end[1]))

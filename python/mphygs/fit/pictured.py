@@ -44,10 +44,11 @@ class Pictured:
     def of(cls, experiment: Experiment, source: Capture, stages: Path) -> Pictured:
         """Raises CaptureError where the Gaussians or the particles of the stages cannot be used."""
         files = StageFolder(stages)
-        gaussians = read_gaussians(source.gaussians or files.gaussians)
+        own = files.gaussians if files.gaussians.is_file() else source.gaussians
+        gaussians = read_gaussians(own or files.gaussians)
         segments = len(list(files.parts.glob("*.ply")))
         particles = read_particles(files.particles, segments)
-        return cls(experiment, source, stages, Drawn.of(gaussians, particles.position))
+        return cls(experiment, source, stages, Drawn.of(gaussians, particles.within().position))
 
     def names(self, wanted: Sequence[str] = ()) -> list[str]:
         """Sequences with a video and with what holds them known, all or those wanted among them."""

@@ -37,7 +37,7 @@ def pictured_belief(belief: Belief, stages: Path, *, without: Sequence[str], hom
     if homogeneous or "lg" in without or len(belief.parts) < 2:
         return belief
     particles = read_particles(StageFolder(stages).particles, len(belief.parts))
-    return with_grouping(belief, belief.parts, particles)
+    return with_grouping(belief, belief.parts, particles.within())
 
 
 def fit_pictured(run: Run, experiment: Experiment, console: Reporter) -> Run:
@@ -54,7 +54,8 @@ def fit_pictured(run: Run, experiment: Experiment, console: Reporter) -> Run:
 
 
 def _to_pictures(run: Run, experiment: Experiment, console: Reporter, *, distance: bool) -> Run:
-    from mphygs.fit.image_fit import fit_to_pictures
+    # torch takes seconds to import
+    from mphygs.fit.image_fit import fit_to_pictures, fit_to_pictures_by_adam
     from mphygs.render.video_loss import VideoWeights
 
     began = time.monotonic()
@@ -62,11 +63,15 @@ def _to_pictures(run: Run, experiment: Experiment, console: Reporter, *, distanc
     evaluation = problem.evaluate(run.belief)
     solution = Solution(run.belief, evaluation, (evaluation.cost,), True, "kept")
     weights = VideoWeights() if distance else VideoWeights(distance=0.0)
-    found = fit_to_pictures(pictured_of(run, experiment), solution, weights=weights, report=console.say)
+    pictured = pictured_of(run, experiment)
+    if run.options["schedule"] == "paper":
+        found = fit_to_pictures_by_adam(pictured, run.belief, weights=weights, report=console.say)
+    else:
+        found = fit_to_pictures(pictured, solution, weights=weights, report=console.say)
     if found.belief is not run.belief:
         evaluation = problem.evaluate(found.belief)
     kept = len(found.history) > 1
-    reason = "lowers L_2D on frames left out" if kept else "no step lowers L_2D on frames left out"
+    reason = "lowers L_2D" if kept else "nothing lowers L_2D on frames that were left out as well"
     record = StageRecord(
         PICTURES, run.settings.spacing, found.history, kept, reason, time.monotonic() - began
     )

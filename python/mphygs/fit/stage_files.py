@@ -61,11 +61,18 @@ class StageFolder:
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """The object's volume. position: (N, 3) [m]; label: (N,) number of the segment; appearance: (N, D)."""
+    """The object's volume. position: (N, 3) [m]; label: (N,) number of the segment; appearance: (N, D);
+    outside: (N,) bool, those of the band around it."""
 
     position: np.ndarray
     label: np.ndarray
     appearance: np.ndarray
+    outside: np.ndarray
+
+    def within(self) -> Particles:
+        """Those inside the object."""
+        kept = ~self.outside
+        return Particles(self.position[kept], self.label[kept], self.appearance[kept], self.outside[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +95,19 @@ def read_segments(folder: Path) -> tuple[Part, ...]:
 
 def read_particles(path: Path, segments: int) -> Particles:
     """Particles whose labels are numbers of that many segments. Raises CaptureError."""
-    arrays = _arrays(path, {"position": (None, 3), "label": (None,), "appearance": (None, None)})
+    shapes = {"position": (None, 3), "label": (None,), "appearance": (None, None), "signed_distance": (None,)}
+    arrays = _arrays(path, shapes)
     position, label = _finite(path, "position", arrays["position"]), arrays["label"]
-    for name in ("label", "appearance"):
+    for name in ("label", "appearance", "signed_distance"):
         if len(arrays[name]) != len(position):
             raise fault(f"{path}: {name}", f"has {len(arrays[name])} rows", f"{len(position)}, as position")
     if label.min() < 0 or label.max() >= segments:
         span = f"{label.min():.0f} to {label.max():.0f}"
         raise fault(f"{path}: label", f"is {span}", f"0 to {segments - 1}, one for each mesh of a segment")
-    return Particles(position, label.astype(int), _finite(path, "appearance", arrays["appearance"]))
+    outside = _finite(path, "signed_distance", arrays["signed_distance"]) > 0.0
+    if outside.all():
+        raise fault(f"{path}: signed_distance", "is above zero everywhere", "particles inside the object")
+    return Particles(position, label.astype(int), _finite(path, "appearance", arrays["appearance"]), outside)
 
 
 def read_tracks(path: Path, *, frames: int) -> Tracks:
