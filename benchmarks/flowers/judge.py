@@ -11,7 +11,7 @@ import numpy as np
 
 from mphygs.capture.format import load_capture
 from mphygs.fit.run import Run, load_run
-from mphygs.fit.stage_files import Particles, StageFolder, read_particles
+from mphygs.fit.stage_files import StageFolder, particles_of
 from mphygs.scene.particles import closest_material
 
 # A true part's mean logarithm counts as identifiable where its standard deviation is below this.
@@ -24,9 +24,9 @@ def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, 
     they are and with those of one true part made one."""
     state = load_run(run)
     truth = load_capture(capture / "truth")
-    files = StageFolder(state.stages)
-    particles = read_particles(files.particles, len(list(files.parts.glob("*.ply")))).within()
-    true_part = closest_material(truth.parts, particles.position).part
+    particles = particles_of(state.stages, len(list(StageFolder(state.stages).parts.glob("*.ply"))))
+    label = particles.label[particles.inside]
+    true_part = closest_material(truth.parts, particles.position[particles.inside]).part
     names = [part.name for part in truth.parts]
     parts = json.loads((capture / "answer.json").read_text())["parts"]
     sequences = answer["sequences"]
@@ -34,17 +34,17 @@ def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, 
         "fit": sequences["frog"]["fit"],
         "in": sequences["frog"]["predict"],
         "cross": sequences["turned"]["predict"],
-        "materials": materials(state, particles, true_part, names, parts),
-        "segments": int(particles.label.max()) + 1,
-        "adjusted_rand_index": adjusted_rand_index(particles.label, true_part),
-        "adjusted_rand_index_merged": adjusted_rand_index(_merged(particles.label, true_part), true_part),
+        "materials": materials(state, label, true_part, names, parts),
+        "segments": int(label.max()) + 1,
+        "adjusted_rand_index": adjusted_rand_index(label, true_part),
+        "adjusted_rand_index_merged": adjusted_rand_index(_merged(label, true_part), true_part),
         "fit_stages": {stage.name: stage.seconds for stage in state.history},
     }
 
 
 def materials(
     run: Run,
-    particles: Particles,
+    label: np.ndarray,
     true_part: np.ndarray,
     names: list[str],
     truth: Mapping[str, Mapping[str, float]],
@@ -52,7 +52,8 @@ def materials(
     """Error of the mean logarithm over each true part, with its standard deviation by the fit."""
     belief = run.belief
     column = {p.key: k for k, p in enumerate(belief.free)}
-    label = particles.label if len(belief.parts) > 1 else np.zeros(len(particles.label), int)
+    if len(belief.parts) == 1:
+        label = np.zeros_like(label)
     found = {}
     for number, name in enumerate(names):
         share = np.bincount(label[true_part == number], minlength=len(belief.parts)).astype(float)

@@ -14,9 +14,10 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.command import DONE, Console
 from mphygs.fit.image_capture import is_pictured
 from mphygs.fit.stage_files import StageFolder
+from mphygs.stages import NOTE
+from mphygs.stages import STAGES as FOLDER
 
 SECONDS = "seconds.json"
-FOLDER = "stages"
 
 
 class StageError(ValueError):
@@ -58,7 +59,18 @@ def missing_stages(capture: Capture, folder: Path) -> list[Stage]:
             found.insert(
                 -1 if recording.held else -2, Stage(f"register {name}", "register", own, files.pose(name))
             )
-    return [stage for stage in found if not stage.file.exists()]
+    return [stage for stage in found if not _done(stage)]
+
+
+def _done(stage: Stage) -> bool:
+    """Whether a stage's file is there and was not left half made."""
+    note = stage.file.parent / NOTE
+    if not stage.file.is_file():
+        return False
+    try:
+        return not (note.is_file() and json.loads(note.read_text(encoding="utf-8")).get("unfinished"))
+    except (ValueError, AttributeError):
+        return True
 
 
 def _tracked(recording: Recording) -> bool:
@@ -76,7 +88,7 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
     seconds = kept_seconds(folder)
     stages = missing_stages(capture, folder)
     for number, stage in enumerate(stages):
-        if stage.file.exists():
+        if _done(stage):
             continue
         console.say(f"stage {number + 1} of {len(stages)}: {stage.name}")
         began = time.monotonic()

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,8 +13,11 @@ from command_example import answer, call
 from mphygs import predict
 from mphygs.compare import __main__ as compare
 from mphygs.fit import __main__ as fit
+from mphygs.fit import image_fit, paper
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.of_run import experiment_of, pictured_of
 from mphygs.fit.run import load_run
+from mphygs.render.video_loss import VideoWeights
 from mphygs.report import __main__ as report
 from pictured_example import SHOOT, pictured_flower, stages_of_truth
 
@@ -77,6 +81,7 @@ def test_predict_writes_a_video_beside_the_prediction(fitted: dict, tmp_path: Pa
     assert left.max() > 100 and np.abs(left - right).mean() < 0.25 * left[left.max(2) > 30].mean()
 
 
+@pytest.mark.slow
 def test_compare_and_report_tell_of_pictures(fitted: dict) -> None:
     found = answer(compare.main, fitted["run"], "--workers", 1)
     error = found["sequences"]["frog"]["predict"]
@@ -88,6 +93,7 @@ def test_compare_and_report_tell_of_pictures(fitted: dict) -> None:
     assert "PSNR dB" in page and "frog, video beside prediction" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left_out", ["lg,l2d", "windows,l2d", "prestress,ldt"])
 def test_parts_of_the_method_can_be_left_out(
     left_out: str, capture: Path, stages: Path, fitted: dict, tmp_path: Path
@@ -128,6 +134,30 @@ def test_options_are_refused_in_one_line(capture: Path, tmp_path: Path, argument
     code, out, err = call(fit.main, capture, "--out", tmp_path / "run", *arguments)
     assert (code, out) == (2, "") and words in err.splitlines()[-1]
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("schedule", ["fast", "paper"])
+def test_a_step_on_pictures_lowers_their_loss(
+    schedule: str, fitted: dict, tmp_path: Path, monkeypatch
+) -> None:
+    run = load_run(fitted["run"])
+    experiment, belief = experiment_of(run, workers=1)
+    pictured = pictured_of(run, experiment)
+    key = "segment-00.youngs_modulus"
+    soft = belief.with_parameter(key, value=0.5 * belief[key].value)
+    if schedule == "fast":
+        evaluation = experiment.problem(run.settings.spacing).evaluate(soft)
+        # the tracks are not to lead back
+        flat = replace(evaluation, jacobian=1e-9 * evaluation.jacobian)
+        solution = Solution(soft, flat, (flat.cost,), True, "")
+        found = image_fit.fit_to_pictures(pictured, solution, weights=VideoWeights())
+    else:
+        monkeypatch.setattr(image_fit, "ITERATIONS", 12)
+        monkeypatch.setattr(paper, "ITERATIONS", 12)
+        found = image_fit.fit_to_pictures_by_adam(pictured, soft, weights=VideoWeights())
+    assert found.history[-1] < 0.97 * found.history[0] and found.left_out[-1] < found.left_out[0]
+    assert soft[key].value * 1.1 < found.belief[key].value < 1.6 * belief[key].value
 
 
 def test_a_bad_file_of_a_stage_ends_in_one_line_and_nothing_is_lost(

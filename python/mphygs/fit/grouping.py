@@ -12,12 +12,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from mphygs.fit.stage_files import Particles
 from mphygs.model.belief import Belief, Likeness
+from mphygs.scene.grouping import NEIGHBOURS, likeness
+from mphygs.scene.soft_boundary import Particles
 
-NEIGHBOURS, ALPHA, FLOOR = 20, 20.0, 1e-9
 LIKE_STD, SPREAD_STD = 0.3, 1.5
 # A prior wider than this says nothing.
 WIDEST_STD = 6.0
@@ -32,17 +31,14 @@ def alikeness(particles: Particles, count: int, *, seed: int = 0) -> np.ndarray:
     Each particle's 20 nearest in appearance share one weight; of two segments that look exactly alike each
     has half of its weight in the other. Rows are of segments, relative to their number of particles.
     """
-    number = np.arange(len(particles.position))
+    number = np.flatnonzero(particles.inside)
     if len(number) > _SAMPLE:
         number = np.sort(np.random.default_rng(seed).choice(number, _SAMPLE, replace=False))
     label, look = particles.label[number], _normalised(particles.appearance[number])
-    neighbours = min(NEIGHBOURS + 1, len(number))
-    distance, near = cKDTree(look).query(look, k=neighbours)
-    distance, near = np.atleast_2d(distance)[:, 1:], np.atleast_2d(near)[:, 1:]
-    weight = np.exp(-ALPHA * distance**2) + FLOOR
-    weight /= weight.sum(axis=1, keepdims=True)
+    alike = likeness(look, neighbours=min(NEIGHBOURS, len(number) - 1))
+    index, weight = alike.index.numpy(), alike.weight.numpy()
     total = np.zeros((count, count))
-    np.add.at(total, (np.repeat(label, near.shape[1]), label[near].ravel()), weight.ravel())
+    np.add.at(total, (np.repeat(label, index.shape[1]), label[index].ravel()), weight.ravel())
     mine = np.maximum(np.bincount(label, minlength=count), 1)
     shares = total / mine[:, None]
     return 0.5 * (shares + shares.T)
@@ -65,7 +61,8 @@ def with_grouping(belief: Belief, parts: Sequence[str], particles: Particles) ->
     parts: names in the order of the particles' labels. Segments of known material are left out.
     """
     alike = alikeness(particles, len(parts))
-    share = np.bincount(particles.label, minlength=len(parts)) / len(particles.label)
+    label = particles.label[particles.inside]
+    share = np.bincount(label, minlength=len(parts)) / len(label)
     likenesses = []
     for quantity in QUANTITIES:
         free = [k for k, part in enumerate(parts) if belief[f"{part}.{quantity}"].free]

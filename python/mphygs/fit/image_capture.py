@@ -20,7 +20,8 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_matrix
-from mphygs.fit.stage_files import StageFolder, Tracks, read_motion, read_segments, read_tracks
+from mphygs.fit.stage_files import StageFolder, Tracks, read_motion, read_tracks
+from mphygs.scene.object_files import read_parts
 
 TRACK_COUNT = 250
 # Of the frames that are used, a track must be seen in so many to be chosen; of the median sigma, the largest.
@@ -58,7 +59,7 @@ def assembled(capture: Capture, stages: Path, *, tracked: bool = True) -> Captur
     stages that cannot be used, and where they contradict the capture.
     """
     files = StageFolder(stages)
-    parts = capture.parts or read_segments(files.parts)
+    parts = capture.parts or tuple(read_parts(files.parts))
     sequences = tuple(_assembled_sequence(r, files, parts, tracked) for r in capture.sequences)
     whole = replace(capture, parts=parts, sequences=sequences)
     check_capture(whole)

@@ -18,7 +18,7 @@ from mphygs.compare.drawn import Drawn
 from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors, still
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import Placement, placement_of
-from mphygs.fit.stage_files import StageFolder, read_particles
+from mphygs.fit.stage_files import StageFolder, particles_of
 from mphygs.model.belief import Belief
 from mphygs.render.image_metrics import ImageMetrics
 from mphygs.render.splatting import splat
@@ -47,8 +47,8 @@ class Pictured:
         own = files.gaussians if files.gaussians.is_file() else source.gaussians
         gaussians = read_gaussians(own or files.gaussians)
         segments = len(list(files.parts.glob("*.ply")))
-        particles = read_particles(files.particles, segments)
-        return cls(experiment, source, stages, Drawn.of(gaussians, particles.within().position))
+        particles = particles_of(stages, segments)
+        return cls(experiment, source, stages, Drawn.of(gaussians, particles.position[particles.inside]))
 
     def names(self, wanted: Sequence[str] = ()) -> list[str]:
         """Sequences with a video and with what holds them known, all or those wanted among them."""

@@ -15,7 +15,7 @@ from mphygs.fit.grouping import with_grouping
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import pictured_of
 from mphygs.fit.run import Run, StageRecord
-from mphygs.fit.stage_files import StageFolder, read_particles
+from mphygs.fit.stage_files import particles_of
 from mphygs.model.belief import Belief
 
 # What may be left out, as in the paper's ablations.
@@ -36,8 +36,7 @@ def pictured_belief(belief: Belief, stages: Path, *, without: Sequence[str], hom
         belief = replace(belief, prestress="off")
     if homogeneous or "lg" in without or len(belief.parts) < 2:
         return belief
-    particles = read_particles(StageFolder(stages).particles, len(belief.parts))
-    return with_grouping(belief, belief.parts, particles.within())
+    return with_grouping(belief, belief.parts, particles_of(stages, len(belief.parts)))
 
 
 def fit_pictured(run: Run, experiment: Experiment, console: Reporter) -> Run:

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.errors import CaptureError, fault
-from mphygs.capture.meshes import Part, read_mesh
+from mphygs.scene.object_files import read_particles
+from mphygs.scene.soft_boundary import Particles
 
 # Beyond this share of its length a quaternion is no rotation.
 _UNIT = 1e-3
@@ -60,22 +61,6 @@ class StageFolder:
 
 
 @dataclass(frozen=True, eq=False)
-class Particles:
-    """The object's volume. position: (N, 3) [m]; label: (N,) number of the segment; appearance: (N, D);
-    outside: (N,) bool, those of the band around it."""
-
-    position: np.ndarray
-    label: np.ndarray
-    appearance: np.ndarray
-    outside: np.ndarray
-
-    def within(self) -> Particles:
-        """Those inside the object."""
-        kept = ~self.outside
-        return Particles(self.position[kept], self.label[kept], self.appearance[kept], self.outside[kept])
-
-
-@dataclass(frozen=True, eq=False)
 class Tracks:
     """Points followed through a sequence. rest: (M, 3) [m]; position: (T, M, 3) [m], NaN where not seen;
     sigma: (M,) standard deviation of a coordinate [m]."""
@@ -85,29 +70,16 @@ class Tracks:
     sigma: np.ndarray
 
 
-def read_segments(folder: Path) -> tuple[Part, ...]:
-    """One closed mesh a segment, in the order of their names. Raises CaptureError."""
-    found = sorted(folder.glob("*.ply")) if folder.is_dir() else []
-    if not found:
-        raise fault(str(folder), "holds no meshes", "one closed .ply mesh for each segment")
-    return tuple(Part(path.stem, *read_mesh(path)) for path in found)
-
-
-def read_particles(path: Path, segments: int) -> Particles:
-    """Particles whose labels are numbers of that many segments. Raises CaptureError."""
-    shapes = {"position": (None, 3), "label": (None,), "appearance": (None, None), "signed_distance": (None,)}
-    arrays = _arrays(path, shapes)
-    position, label = _finite(path, "position", arrays["position"]), arrays["label"]
-    for name in ("label", "appearance", "signed_distance"):
-        if len(arrays[name]) != len(position):
-            raise fault(f"{path}: {name}", f"has {len(arrays[name])} rows", f"{len(position)}, as position")
-    if label.min() < 0 or label.max() >= segments:
-        span = f"{label.min():.0f} to {label.max():.0f}"
-        raise fault(f"{path}: label", f"is {span}", f"0 to {segments - 1}, one for each mesh of a segment")
-    outside = _finite(path, "signed_distance", arrays["signed_distance"]) > 0.0
-    if outside.all():
+def particles_of(folder: Path, segments: int) -> Particles:
+    """The particles of a folder of stages. Raises CaptureError where they name other segments than these."""
+    path = StageFolder(folder).particles
+    particles = read_particles(path)
+    if particles.segment_count > segments:
+        found = f"names {particles.segment_count} segments"
+        raise fault(f"{path}: label", found, f"at most {segments}, one for each mesh of a part")
+    if not particles.inside.any():
         raise fault(f"{path}: signed_distance", "is above zero everywhere", "particles inside the object")
-    return Particles(position, label.astype(int), _finite(path, "appearance", arrays["appearance"]), outside)
+    return particles
 
 
 def read_tracks(path: Path, *, frames: int) -> Tracks:
