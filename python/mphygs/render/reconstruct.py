@@ -23,7 +23,7 @@ from mphygs.scene.gaussians import Gaussians
 
 Progress = Callable[[int, int, float, int], None]
 _REPORT = 10  # iterations
-_LEAST_SEEN = 1.0  # [px] of a Gaussian in all views
+_LEAST_SEEN = 0.03  # [px] of a Gaussian, in the mean over views
 
 
 @dataclass(frozen=True)
@@ -148,12 +148,12 @@ def _shrunk(mask: Tensor, values: Tensor) -> Tensor:
 
 
 def _seen(gaussians: Gaussians, photographs: Sequence[Photograph]) -> Gaussians:
-    """The Gaussians of which all views together see a pixel: nothing says where the others belong."""
+    """The Gaussians of which the views see anything: nothing says where the others belong."""
     amount = torch.zeros(gaussians.count)
     for photograph in photographs:
         camera = photograph.camera
         amount += gathered(gaussians, camera, torch.ones(camera.height, camera.width, 1))[:, 0]
-    kept = amount >= _LEAST_SEEN
+    kept = amount >= _LEAST_SEEN * len(photographs)
     return gaussians.each(lambda tensor: tensor[kept])
 
 
