@@ -67,8 +67,9 @@ class SegmentOptions(CommonOptions):
     """About so many inside the object."""
     segments: int = 25
     """Number of segments that is not exceeded."""
-    affinity: float = 0.15
-    """Weight of the groups of pixels against appearance and thickness of 1; larger: more, smaller segments."""
+    alike: float = 0.25
+    """Distance in looks and thickness, over that of two random places, below which two segments are one; 0:
+    every petal stays a segment of its own."""
     longest: int = 400
     """Pictures larger than this along a side are used at a half, a third, ... of their size [px]."""
     seed: int = 0
@@ -96,13 +97,14 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
     picture = second.folder / PICTURE
     write_image(picture, object_picture(gaussians, features, particles, photographs))
     count = np.bincount(particles.label[particles.inside], minlength=particles.segment_count)
+    around = int((~particles.inside).sum())
     document = {
         "run": str(options.out),
         "features": {"stage": str(first.folder), "source": features.source},
         "particles": {
             "stage": str(second.folder),
             "inside": int(particles.inside.sum()),
-            "band": int((~particles.inside).sum()),
+            "band": around,
             "spacing": particles.spacing,
         },
         "segments": {
@@ -114,7 +116,7 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
     }
     lines = [
         f"features: {features.source}",
-        f"{count.sum()} particles of {1e3 * particles.spacing:.2f} mm, {(~particles.inside).sum()} round them",
+        f"{count.sum()} particles {1e3 * particles.spacing:.2f} mm apart, {around} round them",
         *(
             f"  {p.name}: {1e6 * p.volume:8.3f} cm^3, {n} particles"
             for p, n in zip(parts, count, strict=False)
@@ -160,19 +162,21 @@ def object_stage(
     console: Console,
 ) -> tuple[Stage, Particles, list[Part]]:
     """The stage, its particles and its parts, made unless they are there."""
-    names = ("particles", "segments", "affinity", "longest", "seed")
+    names = ("particles", "segments", "alike", "longest", "seed")
     made_of = {name: getattr(options, name) for name in names} | {
         "gaussians": _digest(before[0], "gaussians.ply"),
         "features": _digest(before[1], FEATURES),
     }
     stage = Stage.of(options.out, "object", (PARTICLES, f"{PARTS}/*.ply"), made_of)
     if stage.state() == "missing":
+        # nothing before: the features were there already
+        start = _FEATURES_SHARE if console.seconds > 1.0 else 0.0
         found = found_object(
             gaussians,
             features,
             photographs,
             settings,
-            report=_report(console, _FEATURES_SHARE, 1.0),
+            report=_report(console, start, 1.0),
         )
         stage.begin()
         write_particles(stage.path(PARTICLES), found.particles)
@@ -219,15 +223,14 @@ def grouper_of(text: str) -> MaskGrouper:
 
 
 def _settings(options: SegmentOptions) -> ObjectSettings:
-    if options.particles < 200 or options.segments < 1 or options.affinity < 0 or options.longest < 16:
+    if options.particles < 200 or options.segments < 1 or options.alike < 0 or options.longest < 16:
         raise OptionError(
-            f"--particles {options.particles}, --segments {options.segments}, --affinity "
-            f"{options.affinity:g}, --longest {options.longest}; expected at least 200, 1, 0 and 16"
+            f"--particles {options.particles}, --segments {options.segments}, --alike {options.alike:g}, "
+            f"--longest {options.longest}; expected at least 200, 1, 0 and 16"
         )
     return ObjectSettings(
         particles=options.particles,
-        affinity=options.affinity,
-        segments=SegmentSettings(most=options.segments, seed=options.seed),
+        segments=SegmentSettings(most=options.segments, alike=options.alike, seed=options.seed),
     )
 
 

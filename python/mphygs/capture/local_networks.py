@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from safetensors import SafetensorError
 
 from mphygs.capture.errors import fault
 
@@ -38,7 +39,7 @@ def local_network(folder: Path, kinds: dict[str, str], what: str) -> torch.nn.Mo
             raise fault(str(folder), f'holds a network of type "{kind}"', f"one of {', '.join(kinds)}")
         network: Any = getattr(transformers, kinds[kind])
         return network.from_pretrained(folder, local_files_only=True).eval()
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError, SafetensorError) as error:
         raise fault(
             str(folder), f"cannot be loaded ({error})", f"{what}, as transformers saves it"
         ) from error

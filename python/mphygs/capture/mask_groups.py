@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import cv2
 import numpy as np
+from skimage.segmentation import felzenszwalb
 
 from mphygs.capture.views import Photograph
 
@@ -38,17 +40,22 @@ class Superpixels:
 
     def groups_of(self, photograph: Photograph) -> list[np.ndarray]:
         """(H, W) at every scale."""
-        from skimage.segmentation import felzenszwalb
-
         solid = photograph.mask >= 0.5
         # what is not of the object has a colour that none of its own can be joined with
-        picture = np.where(solid[..., None], photograph.colour, -3.0).astype(np.float64)
+        picture = np.where(solid[..., None], _smoothed(photograph.colour, solid, self.smoothing), -3.0)
         least = max(int(self.least * solid.sum()), 4)
         found = []
         for scale in self.scales:
-            labels = felzenszwalb(picture, scale=scale, sigma=self.smoothing, min_size=least, channel_axis=2)
+            labels = felzenszwalb(picture, scale=scale, sigma=0, min_size=least, channel_axis=2)
             found.append(_numbered(labels, solid))
         return found
+
+
+def _smoothed(colour: np.ndarray, solid: np.ndarray, sigma: float) -> np.ndarray:
+    """Means (H, W, 3) over the object's pixels nearby alone."""
+    weight = solid.astype(np.float64)
+    total = cv2.GaussianBlur(colour * weight[..., None], (0, 0), sigma)
+    return total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-6)[..., None]
 
 
 def _numbered(labels: np.ndarray, solid: np.ndarray) -> np.ndarray:

@@ -14,13 +14,14 @@ from mphygs.render.looking_round import seen_depths
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.object_files import GaussianFeatures, segment_name
 from mphygs.scene.part_meshes import segment_meshes
-from mphygs.scene.segments import SegmentSettings, find_segments
+from mphygs.scene.segments import FeatureBlock, SegmentSettings, find_segments
 from mphygs.scene.soft_boundary import Particles, lattice_particles
 from mphygs.scene.solid import SeenDepth, silhouette_distance, solid_behind
 from mphygs.scene.thickness import local_thickness
 
 Report = Callable[[float, str], None]
 _VOXELS = 2.5e6  # of the lattice that the solid is found on
+_LEAST_OPACITY = 0.05  # of Gaussians that say where the object is
 _NEAREST = 4  # Gaussians that a particle has its features from, for segments
 
 
@@ -32,7 +33,7 @@ class ObjectSettings:
     particles: int = 25_000
     band: float = 1.0
     appearance: float = 1.0
-    affinity: float = 0.15
+    affinity: float = 0.5
     thickness: float = 1.0
     segments: SegmentSettings = field(default_factory=SegmentSettings)
 
@@ -69,8 +70,8 @@ def found_object(
         SeenDepth(p.camera, depth, silhouette_distance(p.mask))
         for p, depth in zip(photographs, seen_depths(gaussians, photographs), strict=True)
     ]
-    solid = gaussians.opacities.detach().numpy() >= 0.05
-    places = gaussians.positions.detach().double().numpy()[solid]
+    clear = gaussians.opacities.detach().numpy() >= _LEAST_OPACITY
+    places = gaussians.positions.detach().double().numpy()[clear]
     box = np.prod(np.ptp(places, axis=0) + 1e-4)
     tell(0.1, "the solid behind them")
     lattice, distance, lift = solid_behind(views, places, spacing=float(np.cbrt(box / _VOXELS)))
@@ -87,9 +88,9 @@ def found_object(
     inside = signed <= 0
     appearance, affinity = features.appearance[near].mean(axis=1), features.affinity[near].mean(axis=1)
     blocks = [
-        (appearance[inside], settings.appearance),
-        (affinity[inside], settings.affinity),
-        (np.log(np.maximum(thickness[inside], 0.2 * spacing))[:, None], settings.thickness),
+        FeatureBlock(appearance[inside], settings.appearance),
+        FeatureBlock(affinity[inside], settings.affinity, tells=False),
+        FeatureBlock(np.log(np.maximum(thickness[inside], 0.2 * spacing))[:, None], settings.thickness),
     ]
     own = find_segments(position[inside], blocks, settings.segments)
     label = own[cKDTree(position[inside]).query(position)[1]]

@@ -13,23 +13,36 @@ _NEIGHBOURS = 20  # that a label is smoothed over
 _NEAREST = 10  # labelled places that a place without a label asks
 
 
+@dataclass(frozen=True, eq=False)
+class FeatureBlock:
+    """Features that places are grouped by. values: (N, F), their scale is taken out; weight: beside others;
+    tells: whether they also say that two segments are of one kind."""
+
+    values: np.ndarray
+    weight: float
+    tells: bool = True
+
+
 @dataclass(frozen=True)
 class SegmentSettings:
     """How places are grouped.
 
     samples: places that are clustered, the others follow them; dimensions: kept by the principal components;
-    least_cluster: of a cluster, share of the samples; least_segment: of a segment, share of all places;
-    most: segments; place: weight of the position beside features of weight 1; rounds: of smoothing.
+    least_cluster: of a cluster, share of the samples; core: neighbours that make a place dense; place: weight
+    of the position beside features of weight 1; rounds: of smoothing; alike: distance of two segments' means,
+    where that of two random places is 1 (root of the mean square), below which they are one; 0 for never;
+    least_segment: of a segment, share of all places; most: segments.
     """
 
     samples: int = 6000
     dimensions: int = 8
     least_cluster: float = 0.012
     core: int = 8
+    place: float = 0.6
+    rounds: int = 4
+    alike: float = 0.25
     least_segment: float = 0.01
     most: int = 25
-    place: float = 0.3
-    rounds: int = 4
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -39,21 +52,26 @@ class SegmentSettings:
 
 def find_segments(
     positions: np.ndarray,
-    blocks: Sequence[tuple[np.ndarray, float]],
+    blocks: Sequence[FeatureBlock],
     settings: SegmentSettings | None = None,
 ) -> np.ndarray:
     """Labels (N,) int32 of places (N, 3) [m], 0 for the largest segment.
 
-    blocks: features (N, F) with the weight of each; their scale is taken out. Features are averaged over the
-    nearest places, joined, reduced, and clustered by HDBSCAN (Campello et al. 2013); places that belong to no
-    cluster take the label of most of the nearest that do; small segments are joined with the neighbour that
-    they are most like. Raises ValueError for fewer than 50 places.
+    Features are averaged over the nearest places, joined with the position, reduced, and clustered finely by
+    HDBSCAN (Campello et al. 2013, leaves); places that belong to no cluster take the label of most of the
+    nearest that do. Of these pieces those that are alike become one segment, wherever they are: the petals of
+    a ring. Small segments are joined with the neighbour that they are most like. Raises ValueError for fewer
+    than 50 places.
     """
     settings = SegmentSettings() if settings is None else settings
     if len(positions) < 50:
         raise ValueError(f"{len(positions)} places; expected at least 50 to find segments in")
     near = cKDTree(positions).query(positions, k=_NEIGHBOURS)[1]
-    scaled = [weight * _scaled(_averaged(values, near)) for values, weight in blocks if values.shape[1]]
+    used = [block for block in blocks if block.values.shape[1] and block.weight > 0]
+    if not any(block.tells for block in used):
+        raise ValueError("blocks: none tells segments apart; expected features of a weight above zero")
+    scaled = [block.weight * _scaled(_averaged(block.values, near)) for block in used]
+    kind = _scaled(np.concatenate([s for s, b in zip(scaled, used, strict=True) if b.tells], axis=1))
     features = np.concatenate([*scaled, settings.place * _scaled(positions)], axis=1)
     reduced = _reduced(features, settings.dimensions)
     draw = np.random.default_rng(settings.seed)
@@ -62,7 +80,7 @@ def find_segments(
         HDBSCAN(
             min_cluster_size=max(int(settings.least_cluster * len(chosen)), 5),
             min_samples=settings.core,
-            cluster_selection_method="eom",
+            cluster_selection_method="leaf",
             copy=True,
         )
         .fit(reduced[chosen])
@@ -72,7 +90,8 @@ def find_segments(
         cluster = np.zeros_like(cluster)
     label = _followed(reduced, chosen, cluster)
     label = _smoothed(label, near, settings.rounds)
-    label = _joined(label, reduced, near, settings)
+    label = _alike(label, kind, settings.alike)
+    label = _joined(label, kind, near, settings)
     return _by_size(label)
 
 
@@ -113,6 +132,26 @@ def _smoothed(label: np.ndarray, near: np.ndarray, rounds: int) -> np.ndarray:
     count = int(label.max()) + 1
     for _ in range(rounds):
         label = _majority(label[near], count)
+    return label
+
+
+def _alike(label: np.ndarray, features: np.ndarray, least: float) -> np.ndarray:
+    """Labels with segments joined, the two nearest means first, until none are nearer than `least`."""
+    names, label = np.unique(label, return_inverse=True)
+    size = np.bincount(label).astype(np.float64)
+    mean = np.stack([features[label == k].mean(axis=0) for k in range(len(names))])
+    left = list(range(len(names)))
+    while len(left) > 1:
+        square = ((mean[left][:, None] - mean[left]) ** 2).sum(axis=2)
+        np.fill_diagonal(square, np.inf)
+        first, second = (left[k] for k in np.unravel_index(int(square.argmin()), square.shape))
+        if square.min() >= least**2:
+            break
+        share = size[second] / (size[first] + size[second])
+        mean[first] += share * (mean[second] - mean[first])
+        size[first] += size[second]
+        label[label == second] = first
+        left.remove(second)
     return label
 
 

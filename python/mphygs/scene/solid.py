@@ -166,14 +166,12 @@ def solid_behind(
     places = coarse.points()
     lift = 0.0
     for _ in range(rounds):
-        lifted = _lifted(views, lift)
-        distance = signed_distance(lifted, places).reshape(coarse.shape)
+        distance = signed_distance(_lifted(views, lift), places).reshape(coarse.shape)
         lift = max(lift + edge_gap(coarse, distance, views), 0.0)
     lifted = _lifted(views, lift)
     lattice, distance = refined(coarse, signed_distance(lifted, places).reshape(coarse.shape), lifted)
-    outside = ~largest_body(distance <= 0)
-    distance = np.where((distance <= 0) & outside, 0.5 * spacing, distance)
-    return lattice, distance, lift
+    specks = (distance <= 0) & ~largest_body(distance <= 0)
+    return lattice, np.where(specks, 0.5 * spacing, distance), lift
 
 
 def _lifted(views: Sequence[SeenDepth], lift: float) -> list[SeenDepth]:
