@@ -97,7 +97,7 @@ def test_meshes_of_segments_are_closed_and_fill_the_object(tmp_path: Path) -> No
     lattice, distance, points, label = bar()
     parts = segment_meshes(lattice, distance, points, label, ["segment-00", "segment-01"])
     volumes = np.array([part.volume for part in parts])
-    assert volumes.sum() == pytest.approx(4e-6, rel=0.03)
+    assert volumes.sum() == pytest.approx(4e-6, rel=0.05)
     assert volumes[0] / volumes.sum() == pytest.approx(0.7, abs=0.02)
     # they meet where the labels do, half way between two layers of points
     border = 0.5 * (points[label == 0][:, 0].max() + points[label == 1][:, 0].min())

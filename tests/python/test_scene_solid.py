@@ -64,10 +64,11 @@ def test_depths_that_lie_too_deep_are_lifted_to_fill_the_silhouettes() -> None:
     assert lift == pytest.approx(8e-4, abs=2.5e-4)
     volume = (distance <= 0).sum() * lattice.spacing**3
     assert volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.03)
-    # without that correction it is as much too small
+    # what tells it: before, lines along the silhouettes' edges pass by the solid
     coarse = Lattice.about(lattice.points(), spacing=2e-3, margin=0.0)
     plain = signed_distance(views, coarse.points()).reshape(coarse.shape)
-    assert edge_gap(coarse, plain, views) == pytest.approx(8e-4, abs=3e-4)
+    assert edge_gap(coarse, plain, views) > 1.5e-4
+    assert (plain <= 0).sum() * coarse.spacing**3 < 0.94 * volume
 
 
 def test_what_is_beside_a_silhouette_or_in_no_picture_is_outside() -> None:

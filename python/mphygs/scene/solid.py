@@ -139,7 +139,7 @@ def edge_gap(lattice: Lattice, distance: np.ndarray, views: Sequence[SeenDepth],
     along = np.arange(-radius, radius, 0.7 * lattice.spacing)
     found = []
     for view in views:
-        row, column = np.nonzero(np.abs(view.outside) < 0.5)
+        row, column = np.nonzero(np.abs(view.outside) < 0.75)
         chosen = np.linspace(0, len(row) - 1, min(most, len(row))).astype(int)
         pixels = np.stack([column, row], axis=1)[chosen] + 0.5
         # by how much the pixel's centre lies beside the edge
