@@ -18,7 +18,6 @@ from mphygs.motion.stiffness import Stiffness, disagreements, turn_and_shift
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.polar import quaternion_product
 
-
 _SOFTNESS = (0.06, 0.1, 0.14, 0.2, 0.28, 0.4)  # [px^2], that are tried
 
 

@@ -26,7 +26,8 @@ class SightRule:
     blur: of both pictures before [px], since their edges are of different sharpness; largest: difference of
     colour from which a pixel counts less and less, of a range of 1; mask_share: weight of the difference of
     silhouettes beside that of a colour channel; light: width over which the brightness of drawing and
-    photograph is made equal [px]; softness: of the drawing, as Optics.blur [px^2]; margin: to stay away from the picture's edge [px]."""
+    photograph is made equal [px]; softness: of the drawing, as Optics.blur [px^2]; margin: to stay away from
+    the picture's edge [px]."""
 
     window: float = 1.2
     blur: float = 1.0
