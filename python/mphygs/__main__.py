@@ -19,6 +19,9 @@ COMMANDS = {
     "discover": ("mphygs.discover", "fit, compare, diagnose, extend, until the error is explained"),
     "report": ("mphygs.report.__main__", "one self-contained HTML file"),
     "view": ("mphygs.view", "a live 3D viewer in the browser"),
+    "register": ("mphygs.register", "where the object at rest is in frame 0 of its videos"),
+    "track": ("mphygs.track", "points of the object followed through its videos"),
+    "contact": ("mphygs.contact", "what a hand holds, and how it moves"),
     "synth": ("mphygs.synth.__main__", "a capture with known truth"),
 }
 
