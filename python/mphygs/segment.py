@@ -48,6 +48,8 @@ PICTURE = "picture.png"
 # Of the work after reconstruction that is done once features are there.
 _FEATURES_SHARE = 0.6
 _COLOUR_WEIGHT, _NETWORK_WEIGHT = 1.0, 0.5
+Extractor = FeatureExtractor | JoinedFeatures
+Tools = tuple[Extractor, MaskGrouper]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,12 +87,13 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
     """Make the stages unless they are there; draw them; say what the segments are."""
     console.resume = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(options.out))}"
     settings = _settings(options)
+    tools = _tools(options)
     capture = load_capture(options.capture)
     rest = ReconstructOptions(capture=options.capture, out=options.out, longest=options.longest)
     rest_folder, _, gaussians = rest_stage(capture, rest, console, any_options=True)
     photographs = _photographs(capture, gaussians, options)
     console.begin()
-    first, features = features_stage(options, rest_folder, gaussians, photographs, console)
+    first, features = features_stage(options, tools, rest_folder, gaussians, photographs, console)
     second, particles, parts = object_stage(
         options, settings, (rest_folder, first), gaussians, features, photographs, console
     )
@@ -128,21 +131,23 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
 
 def features_stage(
     options: SegmentOptions,
+    tools: Tools | None,
     rest: Stage,
     gaussians: Gaussians,
     photographs: Sequence[Photograph],
     console: Console,
 ) -> tuple[Stage, GaussianFeatures]:
-    """The stage and its features, made unless they are there."""
+    """The stage and its features, made unless they are there; tools: loaded here where None."""
     names = ("features", "masks", "longest", "seed")
     made_of = {name: getattr(options, name) for name in names} | {"gaussians": _digest(rest, "gaussians.ply")}
     stage = Stage.of(options.out, "features", (FEATURES,), made_of)
     if stage.state() == "missing":
+        extractor, grouper = tools or (extractor_of(options.features), grouper_of(options.masks))
         features = gaussian_features(
             gaussians,
             photographs,
-            extractor_of(options.features),
-            grouper_of(options.masks),
+            extractor,
+            grouper,
             seed=options.seed,
             report=_report(console, 0.0, _FEATURES_SHARE),
         )
@@ -191,21 +196,16 @@ def object_stage(
     return stage, particles, parts
 
 
-def extractor_of(text: str) -> FeatureExtractor | JoinedFeatures:
+def extractor_of(text: str) -> Extractor:
     """The extractor that `--features` names. Raises OptionError for names that there are not."""
     found: list[FeatureExtractor] = []
-    for name in text.split("+"):
-        kind, _, folder = name.strip().partition(":")
-        if kind == "colour" and not folder:
+    for kind, folder in _feature_names(text):
+        if kind == "colour":
             found.append(ColourFeatures())
-        elif kind == "xfeat" and not folder:
+        elif kind == "xfeat":
             found.append(XFeatFeatures())
-        elif kind == "dino" and folder:
-            found.append(DinoFeatures.of(Path(folder)))
         else:
-            raise OptionError(
-                f"--features: got '{text}'; expected colour, xfeat, dino:FOLDER, or several with +"
-            )
+            found.append(DinoFeatures.of(folder))
     if len(found) == 1:
         return found[0]
     weights = tuple(_COLOUR_WEIGHT if isinstance(e, ColourFeatures) else _NETWORK_WEIGHT for e in found)
@@ -214,12 +214,43 @@ def extractor_of(text: str) -> FeatureExtractor | JoinedFeatures:
 
 def grouper_of(text: str) -> MaskGrouper:
     """The grouper that `--masks` names. Raises OptionError for names that there are not."""
+    folder = _mask_folder(text)
+    return Superpixels() if folder is None else SamGroups.of(folder)
+
+
+def _feature_names(text: str) -> list[tuple[str, Path]]:
+    """Kind and folder of every extractor that `--features` names; only those of dino have a folder."""
+    found = []
+    for name in text.split("+"):
+        kind, _, folder = name.strip().partition(":")
+        if kind not in ("colour", "xfeat", "dino") or (kind == "dino") != bool(folder):
+            raise OptionError(
+                f"--features: got '{text}'; expected colour, xfeat, dino:FOLDER, or several with +"
+            )
+        found.append((kind, Path(folder)))
+    if len(set(found)) < len(found):
+        raise OptionError(f"--features: got '{text}'; expected each only once")
+    return found
+
+
+def _mask_folder(text: str) -> Path | None:
+    """The folder that `--masks` names, None for superpixels."""
     kind, _, folder = text.partition(":")
-    if kind == "superpixels" and not folder:
-        return Superpixels()
+    if (kind, folder) == ("superpixels", ""):
+        return None
     if kind == "sam" and folder:
-        return SamGroups.of(Path(folder))
+        return Path(folder)
     raise OptionError(f"--masks: got '{text}'; expected superpixels or sam:FOLDER")
+
+
+def _tools(options: SegmentOptions) -> Tools | None:
+    """What features are made with, so that what is not installed is said before any work is done; None
+    where features are there already, which may need none of it. Names are checked in any case."""
+    _feature_names(options.features)
+    _mask_folder(options.masks)
+    if Stage.of(options.out, "features", (FEATURES,), {}).complete():
+        return None
+    return extractor_of(options.features), grouper_of(options.masks)
 
 
 def _settings(options: SegmentOptions) -> ObjectSettings:

@@ -53,6 +53,13 @@ def write_motion(folder: Path, mesh: trimesh.Trimesh) -> None:
     write_transforms(folder / "transforms.json", cameras, files, [0] * len(cameras))
 
 
+def dumbbell_volume() -> float:
+    """[m^3], two balls and the part of the bar that is between them."""
+    balls = dumbbell().split()[:2]
+    between = (0.03 - 0.025) - (-0.035 + 0.016)
+    return sum(ball.volume for ball in balls) + 0.012**2 * between
+
+
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_capture(tmp_path_factory.mktemp("capture"))
@@ -75,10 +82,9 @@ def test_an_object_is_segmented_from_its_views(capture: Path, done: Path) -> Non
     parts = read_parts(done / "stages/object/parts")
     assert list(found["segments"]) == [part.name for part in parts]
     assert particles.inside.sum() == found["particles"]["inside"] == pytest.approx(3000, rel=0.15)
-    # two balls and a bar, of which each ball holds the end
-    ball = 4 / 3 * np.pi * (0.025**3 + 0.016**3)
-    bar = 0.012**2 * (0.0700 - 0.030)
-    assert sum(part.volume for part in parts) == pytest.approx(ball + bar, rel=0.12)
+    volume = sum(part.volume for part in parts)
+    assert volume == pytest.approx(dumbbell_volume(), rel=0.08)
+    assert volume == pytest.approx(particles.inside.sum() * particles.spacing**3, rel=0.03)
     assert len(fill(parts, spacing=8e-3).cell) > 20
     for name in ("rest", "object"):
         assert (done / "stages" / name / "picture.png").stat().st_size > 5000

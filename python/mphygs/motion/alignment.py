@@ -115,7 +115,8 @@ class Aligner:
                 step = cho_solve(cho_factor(hessian, lower=True, check_finite=False), slope)
                 pose = pose.moved(step.reshape(-1, 6))
                 moved = np.sqrt((step.reshape(-1, 6)[:, 3:] ** 2).sum(axis=1).mean())
-                if moved * self._pixels_per_metre(last) < self.rule.stop:
+                middle = self.graph.nodes.mean(axis=0)
+                if moved * max(pixels_per_metre(s.camera, middle) for s in last) < self.rule.stop:
                     break
         return Alignment(pose, tuple(last))
 
@@ -140,10 +141,6 @@ class Aligner:
             )
             for index, photograph in enumerate(photographs)
         ]
-
-    def _pixels_per_metre(self, sights: Sequence[Sight]) -> float:
-        middle = self.graph.nodes.mean(axis=0)[None]
-        return max(float(s.camera.focal[0] / max(s.camera.project(middle)[1][0], 1e-6)) for s in sights)
 
     def _normal_equations(
         self, pose: Pose, expected: Pose, sights: Sequence[Sight]
@@ -187,6 +184,11 @@ def lifted(points: np.ndarray, sights: Sequence[Sight]) -> tuple[np.ndarray, np.
         information += np.einsum("nia,nij,njb->nab", jacobian, sight.information, jacobian)
         pull += np.einsum("nia,ni->na", jacobian, sight.pull)
     return information, pull
+
+
+def pixels_per_metre(camera: Camera, point: np.ndarray) -> float:
+    """Scale [px/m] of the picture at a point (3,) [m]."""
+    return float(camera.focal[0] / max(camera.project(point[None])[1][0], 1e-6))
 
 
 def projection_jacobian(camera: Camera, points: np.ndarray) -> np.ndarray:

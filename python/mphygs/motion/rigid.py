@@ -14,7 +14,7 @@ from mphygs.capture.annotations import Correspondence
 from mphygs.capture.cameras import Camera
 from mphygs.capture.rotation import align_rigid, matrix_from_rotation_vector, quaternion_from_matrix
 from mphygs.capture.views import Photograph
-from mphygs.motion.alignment import AlignmentRule, lifted
+from mphygs.motion.alignment import AlignmentRule, lifted, pixels_per_metre
 from mphygs.motion.sight import sight_of
 from mphygs.motion.stiffness import turn_and_shift
 from mphygs.render.splatting import splat
@@ -26,6 +26,7 @@ _TRIPLES = 500  # most that are tried
 _FAR = 3.0  # times the usual distance; what is farther off does not count
 _SEARCHED = 48  # pixels along the longer side of the pictures that are searched
 _REFINED = 4  # of the poses searched
+_PATIENCE = 4  # times the rule's iterations of a level, at most
 _BEHIND = 0.02  # of the object's extent: so far behind what is drawn a Gaussian is still seen
 
 
@@ -103,14 +104,17 @@ def refined_rigid(
     start: RigidMotion,
     rule: AlignmentRule,
 ) -> RigidMotion:
-    """The rigid motion near `start` after which the Gaussians look like the photographs (Gauss-Newton)."""
+    """The rigid motion near `start` after which the Gaussians look like the photographs (Gauss-Newton).
+
+    A level ends where the points move by less than the rule's `stop`.
+    """
     motion = start
     rest = gaussians.positions.detach().numpy().astype(np.float64)
     chosen = np.flatnonzero(gaussians.opacities.detach().numpy() > 0.1)
     chosen = chosen[:: max(1, -(-len(chosen) // rule.points))]
     behind = _BEHIND * float(np.linalg.norm(np.ptp(rest[chosen], axis=0)))
     for factor, iterations in rule.levels:
-        for _ in range(2 * iterations):
+        for _ in range(_PATIENCE * iterations):
             drawn, points = motion.of_gaussians(gaussians), motion.of(rest[chosen])
             noise = rule.noise / factor**rule.averaging
             sights = [
@@ -128,6 +132,9 @@ def refined_rigid(
             turn = matrix_from_rotation_vector(step[:3])
             shift = turn @ (motion.shift - middle) + middle + step[3:]
             motion = RigidMotion(turn @ motion.rotation, shift)
+            moved = np.sqrt(((rows @ step) ** 2).sum(axis=1).mean())
+            if moved * max(pixels_per_metre(sight.camera, middle) for sight in sights) < rule.stop:
+                break
     return motion
 
 

@@ -20,7 +20,8 @@ from mphygs.scene.solid import SeenDepth, silhouette_distance, solid_behind
 from mphygs.scene.thickness import local_thickness
 
 Report = Callable[[float, str], None]
-_VOXELS = 2.5e6  # of the lattice that the solid is found on
+# Voxels of the lattice that the solid is found on: for each particle in the object, the least and the most.
+_VOXELS_A_PARTICLE, _VOXELS = 100, (5e5, 4e6)
 _LEAST_OPACITY = 0.05  # of Gaussians that say where the object is
 _NEAREST = 4  # Gaussians that a particle has its features from, for segments
 
@@ -45,7 +46,7 @@ class ObjectSettings:
 @dataclass(frozen=True, eq=False)
 class FoundObject:
     """particles: with their segments; parts: a closed mesh each segment; lift: what depths were corrected by
-    to fill the silhouettes [m]."""
+    [m]."""
 
     particles: Particles
     parts: tuple[Part, ...]
@@ -72,9 +73,12 @@ def found_object(
     ]
     clear = gaussians.opacities.detach().numpy() >= _LEAST_OPACITY
     places = gaussians.positions.detach().double().numpy()[clear]
-    box = np.prod(np.ptp(places, axis=0) + 1e-4)
+    if len(places) == 0:
+        raise ValueError("gaussians: none is opaque; expected an object that can be seen")
+    voxels = np.clip(_VOXELS_A_PARTICLE * settings.particles, *_VOXELS)
+    voxel = float(np.cbrt(np.prod(np.ptp(places, axis=0) + 1e-4) / voxels))
     tell(0.1, "the solid behind them")
-    lattice, distance, lift = solid_behind(views, places, spacing=float(np.cbrt(box / _VOXELS)))
+    lattice, distance, lift = solid_behind(views, places, spacing=voxel)
     volume = float((distance <= 0).sum()) * lattice.spacing**3
     if volume <= 0:
         raise ValueError("rest views: leave no solid; expected cameras and masks of one object")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -25,8 +27,11 @@ def pictures_all_round(gaussians: Gaussians, *, count: int = 32, size: int = 256
     if len(points) == 0:
         raise ValueError("gaussians: none is opaque; expected an object that can be seen")
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    radius = float(np.linalg.norm(points - middle, axis=1).max())
-    focal = np.full(2, 0.5 * size * _FILLED * _DISTANCE / radius)
+    # a Gaussian is seen to about two standard deviations from its centre
+    reach = 2.0 * gaussians.scales.detach().double().numpy()[solid].max(axis=1)
+    radius = float((np.linalg.norm(points - middle, axis=1) + reach).max())
+    # what is a radius from the axis at that distance lies `_FILLED` of half a picture from the middle
+    focal = np.full(2, 0.5 * size * _FILLED * _DISTANCE)
     # nearly even on the sphere, its poles left out: the line of sight must not be along up
     height = np.arcsin(0.97 * (1.0 - 2.0 * (np.arange(count) + 0.5) / count))
     pictures = []
@@ -47,7 +52,7 @@ def pictures_all_round(gaussians: Gaussians, *, count: int = 32, size: int = 256
     return pictures
 
 
-def seen_depths(gaussians: Gaussians, photographs: list[Photograph]) -> list[np.ndarray]:
+def seen_depths(gaussians: Gaussians, photographs: Sequence[Photograph]) -> list[np.ndarray]:
     """Mean depth (H, W) [m], float32, of the Gaussians in every picture, infinite where they are less than
     half opaque."""
     depths = []

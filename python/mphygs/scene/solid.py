@@ -13,10 +13,15 @@ from mphygs.capture.cameras import Camera
 from mphygs.scene.lattice import Lattice
 
 # Views that must see a place as empty before it is: single ones are wrong at edges and in noise of depth.
-_WITNESSES = 3
+# Few views leave few witnesses: of less than twelve, two or one are enough.
+_WITNESSES, _VIEWS_A_WITNESS = 3, 4
 # In front of the nearest surface within a pixel by so many pixels' widths, one view is enough.
 _SURE = 4.0
 _CHUNK = 400_000  # points looked at together
+_STEPS = 64  # on a line of sight
+_REACH = 0.125  # of the object's length, more than depths are ever wrong by
+# Standard deviations of depth by which the third deepest of the about eight views of a place lies too deep.
+_CARVED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +51,11 @@ def silhouette_distance(mask: np.ndarray) -> np.ndarray:
 def signed_distance(views: Sequence[SeenDepth], points: np.ndarray) -> np.ndarray:
     """Distance (N,) [m] of points (N, 3) [m] from the surface that views see, negative inside.
 
-    Outside are points that three views see beside the silhouette or in front of the surface, or one view far
-    in front of all that is near in its picture. Their distance is the largest to a silhouette, which is none
-    too large; where there is none the least that a view gives to the surface behind them, as the view that
-    looks at it straight gives it. That of a point inside is the least depth that a view gives. Points that no
-    view has in its picture are outside.
+    Outside are points that three views (of fewer than twelve, a quarter) see beside the silhouette or in
+    front of the surface, or one view far in front of all that is near in its picture. Their distance is the
+    largest to a silhouette, which is none too large; where there is none the least that a view gives to the
+    surface behind them, as the view that looks at it straight gives it. That of a point inside is the least
+    depth that a view gives. Points that no view has in its picture are outside.
     """
     result = np.empty(len(points))
     for first in range(0, len(points), _CHUNK):
@@ -64,30 +69,38 @@ def _signed_distance(views: Sequence[SeenDepth], points: np.ndarray) -> np.ndarr
     before = np.full(len(points), np.inf)  # least of those to a surface behind
     deep = np.full(len(points), -np.inf)  # least depth
     witnesses = np.zeros(len(points), dtype=np.int64)
+    needed = int(np.clip(len(views) // _VIEWS_A_WITNESS, 1, _WITNESSES))
     for view in views:
-        camera = view.camera
-        pixels, depth = camera.project(points)
-        within = (depth > 0) & (pixels >= 0.5).all(axis=1)
-        within &= (pixels < [camera.width - 0.5, camera.height - 0.5]).all(axis=1)
-        index = np.flatnonzero(within)
-        edge = _between(view.outside, pixels[index]) * depth[index] / camera.focal.mean()
-        column, row = pixels[index].astype(int).T
+        pixels, depth, index = _within(view.camera, points)
+        width = depth / view.camera.focal.mean()  # of a pixel [m]
+        edge = _between(view.outside, pixels) * width
+        column, row = pixels.astype(int).T
         # within the silhouette, but no surface drawn: the view says nothing of depth
         surface = view.depth[row, column]
-        gap = np.where(np.isfinite(surface), surface - depth[index], -np.inf)
+        gap = np.where(np.isfinite(surface), surface - depth, -np.inf)
         out = edge >= 0
         beside[index[out]] = np.maximum(beside[index[out]], edge[out])
         front = ~out & (gap > 0)
         before[index[front]] = np.minimum(before[index[front]], gap[front])
         witnesses[index[out | front]] += 1
-        clear = cv2.erode(view.depth, np.ones((3, 3), np.uint8))[row, column] - depth[index]
-        sure = np.isfinite(clear) & (clear > _SURE * depth[index] / camera.focal.mean())
-        witnesses[index[~out & sure]] += _WITNESSES
+        clear = cv2.erode(view.depth, np.ones((3, 3), np.uint8))[row, column] - depth
+        sure = np.isfinite(clear) & (clear > _SURE * width)
+        witnesses[index[~out & sure]] += needed
         behind = ~(out | front)
         deep[index[behind]] = np.maximum(deep[index[behind]], np.maximum(gap, edge)[behind])
-    outside = (witnesses >= _WITNESSES) | ~np.isfinite(deep)
+    outside = (witnesses >= needed) | ~np.isfinite(deep)
     distance = np.where(beside > 0, beside, np.where(np.isfinite(before), before, 1.0))
     return np.where(outside, distance, np.minimum(deep, 0.0))
+
+
+def _within(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels (M, 2) and depths (M,) [m] of those of points (N, 3) [m] that the camera has in its picture, and
+    their numbers (M,)."""
+    pixels, depth = camera.project(points)
+    within = (depth > 0) & (pixels >= 0.5).all(axis=1)
+    within &= (pixels < [camera.width - 0.5, camera.height - 0.5]).all(axis=1)
+    index = np.flatnonzero(within)
+    return pixels[index], depth[index], index
 
 
 def _between(values: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -128,51 +141,65 @@ def refined(lattice: Lattice, distance: np.ndarray, views: Sequence[SeenDepth]) 
     return fine, values
 
 
-def edge_gap(lattice: Lattice, distance: np.ndarray, views: Sequence[SeenDepth], *, most: int = 400) -> float:
-    """How far [m] the solid stays behind the silhouettes, in the median over lines of sight along edges.
+def depth_error(views: Sequence[SeenDepth], *, reach: float, most: int = 150) -> float:
+    """How far [m] depths lie behind the surface, from the room between them and the silhouettes.
 
-    A line through the edge of a silhouette touches the object: the least distance (X, Y, Z) on it should be
-    0. most: lines of each view.
+    From a place at the depth that a view gives one can go towards its camera until a silhouette ends. The
+    surface is not nearer than that, and a good part of it lies just there: the distances gather about the
+    error that depths have, those of hollows are longer. Their most frequent value is taken, by the shortest
+    interval with half of them (Rousseeuw 1984), and a share of their spread that carving by a few witnesses
+    costs.
+
+    reach: how far is looked [m], more than the error; most: lines of each view. 0 where nothing tells.
     """
-    corners = lattice.points(np.array([0, lattice.count - 1]))
-    middle, radius = corners.mean(axis=0), 0.5 * float(np.linalg.norm(corners[1] - corners[0]))
-    along = np.arange(-radius, radius, 0.7 * lattice.spacing)
+    room = _room(views, reach, most)
+    if len(room) == 0:
+        return 0.0
+    # once more, in finer steps
+    room = np.sort(_room(views, min(reach, max(3.0 * float(np.median(room)), reach / _STEPS)), most))
+    half = (len(room) + 1) // 2
+    width = room[half - 1 :] - room[: len(room) - half + 1]
+    first = int(width.argmin())
+    # of a normal distribution the middle half is 1.35 standard deviations wide
+    return float(np.median(room[first : first + half]) + _CARVED * width[first] / 1.349)
+
+
+def _room(views: Sequence[SeenDepth], reach: float, most: int) -> np.ndarray:
+    """Distances (M,) along depth [m], up to `reach`, from places on the surface to where silhouettes end."""
     found = []
+    back = np.linspace(0.0, reach, _STEPS + 1)
     for view in views:
-        row, column = np.nonzero(np.abs(view.outside) < 0.75)
+        row, column = np.nonzero((view.outside < -1.5) & np.isfinite(view.depth))
         chosen = np.linspace(0, len(row) - 1, min(most, len(row))).astype(int)
-        pixels = np.stack([column, row], axis=1)[chosen] + 0.5
-        # by how much the pixel's centre lies beside the edge
-        beside = view.outside[row, column][chosen]
-        rays = view.camera.rays(pixels)
-        start = (middle - view.camera.position) @ rays.T
-        places = view.camera.position + rays[:, None] * (start[:, None] + along)[..., None]
-        least = lattice.at(distance, places.reshape(-1, 3)).reshape(len(rays), -1).min(axis=1)
-        scale = view.camera.project(middle[None])[1][0] / view.camera.focal.mean()
-        found.append(least - beside * scale)
-    return float(np.median(np.concatenate(found)))
+        row, column = row[chosen], column[chosen]
+        rays = view.camera.rays(np.stack([column, row], axis=1) + 0.5)
+        along = rays @ view.camera.camera_from_world[2, :3]
+        distance = (view.depth[row, column][:, None] - back) / along[:, None]
+        points = (view.camera.position + rays[:, None] * distance[..., None]).reshape(-1, 3)
+        solid = np.ones(len(points), dtype=bool)
+        for other in views:
+            pixels, index = _within(other.camera, points)[::2]
+            solid[index] &= _between(other.outside, pixels) < 0
+        solid = solid.reshape(distance.shape)
+        count = np.where(solid.all(axis=1), _STEPS, solid.argmin(axis=1))
+        # places that are beside a silhouette themselves say nothing
+        found.append(back[count[solid[:, 0]]])
+    return np.concatenate(found)
 
 
 def solid_behind(
-    views: Sequence[SeenDepth], points: np.ndarray, *, spacing: float, rounds: int = 3
+    views: Sequence[SeenDepth], points: np.ndarray, *, spacing: float
 ) -> tuple[Lattice, np.ndarray, float]:
     """The solid that views of depth and silhouettes leave about points (N, 3) [m].
 
-    Depths that splatting gives lie below the surface, by about the size of a Gaussian: they are lifted by one
-    length until the solid fills the silhouettes. Returns a lattice of `spacing` [m], distances (X, Y, Z) [m],
-    negative inside, and that length [m].
+    Depths that splatting gives lie below the surface, as far as one sees into the Gaussians: they are lifted
+    by one length, `depth_error`. Returns a lattice of `spacing` [m], distances (X, Y, Z) [m], negative
+    inside, and that length [m].
     """
     coarse = Lattice.about(points, spacing=2.0 * spacing, margin=8.0 * spacing)
-    places = coarse.points()
-    lift = 0.0
-    for _ in range(rounds):
-        distance = signed_distance(_lifted(views, lift), places).reshape(coarse.shape)
-        lift = max(lift + edge_gap(coarse, distance, views), 0.0)
-    lifted = _lifted(views, lift)
-    lattice, distance = refined(coarse, signed_distance(lifted, places).reshape(coarse.shape), lifted)
+    lift = depth_error(views, reach=_REACH * float(np.linalg.norm(np.ptp(points, axis=0))))
+    lifted = [SeenDepth(v.camera, v.depth - np.float32(lift), v.outside) for v in views]
+    distance = signed_distance(lifted, coarse.points()).reshape(coarse.shape)
+    lattice, distance = refined(coarse, distance, lifted)
     specks = (distance <= 0) & ~largest_body(distance <= 0)
     return lattice, np.where(specks, 0.5 * spacing, distance), lift
-
-
-def _lifted(views: Sequence[SeenDepth], lift: float) -> list[SeenDepth]:
-    return [SeenDepth(v.camera, v.depth - np.float32(lift), v.outside) for v in views]
