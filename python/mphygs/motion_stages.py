@@ -31,7 +31,7 @@ from mphygs.motion.stage_files import (
     read_tracks,
 )
 from mphygs.motion.track_choice import chosen_gaussians, tracks_of
-from mphygs.motion.track_noise import jackknife_variance
+from mphygs.motion.track_noise import variance_of_tracks
 from mphygs.motion.tracking import Followed, TrackingRule, aligner_of, follow
 from mphygs.scene.agreement import check_first_frame
 from mphygs.scene.gaussians import Gaussians
@@ -195,7 +195,7 @@ def track_stage(
         share = _FOLLOWING + (1 - _FOLLOWING) * done / len(frames)
         report(share, f"{recording.name}: leaving cameras out, {done} of {len(frames)} frames")
 
-    variance = jackknife_variance(aligner, read, followed, chosen, frames=frames.tolist(), report=say)
+    variance = variance_of_tracks(aligner, read, followed, chosen, frames=frames.tolist(), report=say)
     tracks = tracks_of(aligner, followed, chosen, variance)
     stage.write(TRACKS, tracks.arrays())
     stage.drop_partial()

@@ -47,6 +47,7 @@ PROGRAM = "mphygs segment"
 PICTURE = "picture.png"
 # Of the work after reconstruction that is done once features are there.
 _FEATURES_SHARE = 0.6
+_SIZE_ROUND = 256  # [px] of pictures of an object that is given without any
 _COLOUR_WEIGHT, _NETWORK_WEIGHT = 1.0, 0.5
 Extractor = FeatureExtractor | JoinedFeatures
 Tools = tuple[Extractor, MaskGrouper]
@@ -267,7 +268,7 @@ def _settings(options: SegmentOptions) -> ObjectSettings:
 
 def _photographs(capture: Capture, gaussians: Gaussians, options: SegmentOptions) -> list[Photograph]:
     if capture.views is None:
-        return pictures_all_round(gaussians)
+        return pictures_all_round(gaussians, size=min(options.longest, _SIZE_ROUND))
     return shrunk(rest_views_of(capture).read(), options.longest)
 
 

@@ -119,10 +119,10 @@ def test_an_object_given_as_gaussians_is_looked_at_from_all_sides(done: Path, tm
         "sequences": [{"name": "none", "fps": 50.0, "frames": 1}],
     }  # fmt: skip
     (folder / "capture.json").write_text(json.dumps(document))
-    answer(segment.main, folder, "--out", tmp_path / "run", *OBJECT)
+    # pictures as coarse as those the Gaussians were made from: in finer ones they are thinner
+    answer(segment.main, folder, "--out", tmp_path / "run", *OBJECT, "--longest", SIZE)
     volume = sum(part.volume for part in read_parts(tmp_path / "run/stages/object/parts"))
-    other = sum(part.volume for part in read_parts(done / "stages/object/parts"))
-    assert volume == pytest.approx(other, rel=0.12)
+    assert volume == pytest.approx(dumbbell_volume(), rel=0.1)
 
 
 def test_bad_captures_and_options_end_in_one_line(capture: Path, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from mphygs.capture.rotation import (
 )
 from mphygs.scene.agreement import triangulate
 
-_LEAST_TRACKS = 6
+LEAST_TRACKS = 6
 _BAND = 18  # three frames of six unknowns
 
 
@@ -103,11 +103,11 @@ def fit_contact(
     weights = weights or ContactWeights()
     known = np.isfinite(tracks).all(axis=2)
     share = known.astype(float) if trust is None else np.where(known, trust, 0.0)
-    if len(rest) < _LEAST_TRACKS or known.sum(axis=1).min() < 3:
+    if len(rest) < LEAST_TRACKS or known.sum(axis=1).min() < 3:
         frame = int(np.argmin(known.sum(axis=1)))
         raise ValueError(
             f"frame {frame}: {known[frame].sum()} of {len(rest)} tracks about the contact are seen; expected "
-            f"at least 3 in every frame, of at least {_LEAST_TRACKS}"
+            f"at least 3 in every frame, of at least {LEAST_TRACKS}"
         )
     arms = rest - at
     where = np.where(known[..., None], tracks, 0.0)

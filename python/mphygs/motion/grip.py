@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mphygs.capture.rotation import align_rigid
-from mphygs.motion.contact import ContactMotion, ContactWeights, fit_contact
+from mphygs.motion.contact import LEAST_TRACKS, ContactMotion, ContactWeights, fit_contact
 
 CORE = 16  # tracks nearest to the contact that surely move with it
 _RADIUS = 0.06  # of the object's extent: tracks that near are of the core as well
@@ -65,15 +65,22 @@ def find_grip(
     rest: (M, 3) [m]; tracks: (T, M, 3) [m], NaN where not seen; coarse: (T, 3) [m], NaN where nobody pointed
     at the contact; radius: of the held points about the contact [m]; None: from those nearest to it outward,
     until they are off the rigid motion by more than twice what the nearest are. Raises ValueError for fewer
-    tracks than that takes.
+    tracks than that takes, and for a radius within which there are too few.
     """
     if len(rest) < CORE:
         raise ValueError(f"{len(rest)} tracks; expected at least {CORE}")
     at = contact_at_rest(rest, tracks, coarse)
     distance = np.linalg.norm(rest - at, axis=1)
     order = np.argsort(distance, kind="stable")
-    near = _RADIUS * float(np.linalg.norm(np.ptp(rest, axis=0))) if radius is None else radius
-    held = order[: max(CORE, int((distance <= near).sum()))]
+    if radius is None:
+        near = _RADIUS * float(np.linalg.norm(np.ptp(rest, axis=0)))
+        held = order[: max(CORE, int((distance <= near).sum()))]
+    else:
+        held = order[: int((distance <= radius).sum())]
+        if len(held) < LEAST_TRACKS:
+            raise ValueError(
+                f"{len(held)} tracks within {radius:g} m of the contact; expected at least {LEAST_TRACKS}"
+            )
     trust = np.ones((len(tracks), len(held)))
     for _ in range(_ROUNDS):
         motion = fit_contact(rest[held], tracks[:, held], coarse, at, weights=weights, trust=trust)

@@ -34,6 +34,12 @@ class Stiffness:
         if min(self.rigidity, self.similarity, self.step, self.place) <= 0:
             raise ValueError(f"{self}: expected every number above zero")
 
+    def times(self, factor: float) -> Stiffness:
+        """All standard deviations `factor` times as large."""
+        return Stiffness(
+            factor * self.rigidity, factor * self.similarity, factor * self.step, factor * self.place
+        )
+
 
 def disagreements(
     graph: ControlGraph, pose: Pose, expected: Pose, stiffness: Stiffness

@@ -18,11 +18,13 @@ def chosen_gaussians(aligner: Aligner, followed: Followed, count: int) -> np.nda
     """At most `count` (M,) of the Gaussians that are compared, well spread, in ascending order.
 
     Taken are those that two cameras or more show in half of the frames; where these are fewer than three,
-    those that any camera does.
+    those that any camera does. Raises ValueError where none does.
     """
     often = (followed.cameras >= _CAMERAS).mean(axis=0) >= _OFTEN
     if often.sum() < 3:
         often = (followed.cameras >= 1).any(axis=0)
+    if not often.any():
+        raise ValueError("no camera shows the Gaussians where they went; expected pictures of them")
     candidates = aligner.chosen[often]
     if len(candidates) > count:
         candidates = candidates[farthest_first(aligner.graph.points[candidates], count)]

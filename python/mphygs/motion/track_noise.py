@@ -1,13 +1,16 @@
-"""How sure tracks are: how much they change when one camera after the other is left out.
+"""How sure tracks are: how much they change with the cameras, and with what is expected of them.
 
 The jackknife (Tukey 1958): with n cameras the variance of a track is (n - 1) / n times the sum of the squares
 by which the tracks without one camera are off their mean. It sees what a camera sees wrongly by itself,
-edges, shading, mixed-up petals, which residuals of one solution do not.
+edges, shading, mixed-up petals, which residuals of one solution do not. What it cannot see is the pull of the
+expectation that neighbours move alike, the same in all cameras: for this the square is added by which tracks
+change where that is expected far less strictly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,9 +19,10 @@ from mphygs.motion.alignment import Aligner
 from mphygs.motion.tracking import Followed
 
 _LEVELS = ((1, 4),)
+_LOOSER = 5.0  # times the standard deviations of what is expected of control points
 
 
-def jackknife_variance(
+def variance_of_tracks(
     aligner: Aligner,
     read: Callable[[int], Sequence[Photograph]],
     followed: Followed,
@@ -32,6 +36,8 @@ def jackknife_variance(
     report: is called with the number of frames that are done. Raises ValueError for fewer than two cameras.
     """
     variance = np.zeros((len(frames), len(chosen)))
+    stiffness = aligner.rule.stiffness.times(_LOOSER)
+    loose = Aligner(aligner.gaussians, aligner.graph, replace(aligner.rule, stiffness=stiffness))
     for index, frame in enumerate(frames):
         photographs = read(frame)
         expected = followed.expected(frame) if frame else followed.pose(0)
@@ -45,6 +51,9 @@ def jackknife_variance(
         away = np.stack(places) - np.mean(places, axis=0)
         share = (len(places) - 1) / len(places)
         variance[index] = share * (away**2).sum(axis=0).mean(axis=1)
+        alone = loose.align(photographs, expected, start=followed.pose(frame), levels=_LEVELS).pose
+        pulled = aligner.graph.carried(alone, chosen) - aligner.graph.carried(followed.pose(frame), chosen)
+        variance[index] += (pulled**2).mean(axis=1)
         if report is not None:
             report(index + 1)
     return variance
