@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from mphygs.command import AT_FAULT, DONE
 
 COMMANDS = {
+    "reconstruct": ("mphygs.reconstruct", "Gaussians of the object at rest, from its dense views"),
+    "segment": ("mphygs.segment", "features, particles and segments of the object at rest"),
     "fit": ("mphygs.fit.__main__", "fit materials, and the effects named, to a capture"),
     "predict": ("mphygs.predict", "simulate a fitted model on any sequence of the same object"),
     "compare": ("mphygs.compare.__main__", "prediction beside measurement: how far, where and when"),
@@ -17,13 +19,16 @@ COMMANDS = {
     "discover": ("mphygs.discover", "fit, compare, diagnose, extend, until the error is explained"),
     "report": ("mphygs.report.__main__", "one self-contained HTML file"),
     "view": ("mphygs.view", "a live 3D viewer in the browser"),
+    "register": ("mphygs.register", "where the object at rest is in frame 0 of its videos"),
+    "track": ("mphygs.track", "points of the object followed through its videos"),
+    "contact": ("mphygs.contact", "what a hand holds, and how it moves"),
     "synth": ("mphygs.synth.__main__", "a capture with known truth"),
 }
 
 
 def usage() -> str:
     """What can be called."""
-    lines = [f"  {name.ljust(10)}{summary}" for name, (_, summary) in COMMANDS.items()]
+    lines = [f"  {name.ljust(13)}{summary}" for name, (_, summary) in COMMANDS.items()]
     return "\n".join(["usage: mphygs COMMAND [OPTIONS]    (mphygs COMMAND --help shows them)", "", *lines])
 
 

@@ -28,9 +28,11 @@ from mphygs.extend.steps import left_out_of, run_at, step_at, step_document, ste
 from mphygs.fit.__main__ import RUNS, FitOptions, fitted
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
 from mphygs.fit.schedule import screening_spacing
+from mphygs.image_stages import FOLDER, has_stages, run_stages
 from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs discover"
@@ -57,6 +59,9 @@ class DiscoverOptions(CommonOptions):
     """How particles and grid exchange momentum."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
     """Grid spacing [m]; default: 1.7 times that of fit, for many models are tried."""
+    stages: Path | None = None
+    """Of a capture in pictures: run folder whose stages are used, and made where they are missing; default:
+    the run folder itself."""
     plugin: Path | None = None
     """Python file that registers effects of your own: candidates like any other."""
     seed: int = 0
@@ -83,8 +88,16 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         for stale in (DOCUMENT, DIAGNOSIS, "run.json"):
             (out / stale).unlink(missing_ok=True)
     given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
-    if options.spacing is None and options.capture is not None:
-        given["spacing"] = screening_spacing(load_capture(options.capture))
+    seen = load_capture(options.capture) if options.capture is not None else None
+    if seen is not None and has_stages(seen):
+        given["stages"] = options.stages or out
+        console.resume = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(out))}"
+        run_stages(seen, options.capture, given["stages"], console)
+        seen = assembled(seen, given["stages"] / FOLDER)
+        # the loop judges by tracks: a belief between them and the pictures is no minimum of theirs
+        given["without"] = "l2d"
+    if options.spacing is None and seen is not None:
+        given["spacing"] = screening_spacing(seen)
     resume_fit = options.resume and (first / "run.json").is_file()
     state, capture = fitted(FitOptions(**(given | {"out": first, "resume": resume_fit})), console)
     console.resume = f"{PROGRAM} {shlex.quote(str(state.capture))} --out {shlex.quote(str(out))} --resume"

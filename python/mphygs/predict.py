@@ -15,10 +15,11 @@ import tyro
 from mphygs.capture.format import Capture, Markers
 from mphygs.capture.record import Sequence as Recording
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.compare.image_errors import image_table, joined
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.of_run import errors_of, experiment_of
+from mphygs.fit.of_run import errors_of, experiment_of, pictured_of
 from mphygs.fit.run import load_run
-from mphygs.fit.tables import errors_text, parameters_of
+from mphygs.fit.tables import errors_text, parameters_of, table
 from mphygs.model.belief import Belief
 from mphygs.scene.surface import SurfaceSamples, exposed_surface
 from mphygs.simulate.prediction import Prediction, Predictor
@@ -75,11 +76,22 @@ def predict(options: PredictOptions, console: Console) -> Answer:
         }
     measured = [r.name for r in recordings if r.name in experiment.compared_names()]
     compared = experiment.compare(belief, spacing, names=measured, jacobian=False) if measured else {}
-    for name, errors in errors_of(experiment, compared).items():
-        found[name] |= errors
+    errors = errors_of(experiment, compared)
+    pictured = pictured_of(state, experiment, other=options.capture)
+    drawn: dict[str, dict] = {}
+    if pictured is not None:
+        drawn = pictured.errors(belief, names=list(found), films=folder, report=console.say)
+        errors = joined(errors, drawn)
+    for name, ranges in errors.items():
+        found[name] |= ranges
+    for name in drawn:
+        found[name]["film"] = str(folder / f"{name}.mp4")
     lines = [f"{name}: {entry['frames']} frames in {entry['file']}" for name, entry in found.items()]
+    lines += [f"{name}: video beside prediction in {found[name]['film']}" for name in drawn]
     if measured:
         lines += ["", errors_text({name: found[name] for name in measured})]
+    if drawn:
+        lines += ["", table(image_table({name: found[name] for name in drawn}))]
     return Answer({"run": str(state.folder), "sequences": found}, "\n".join(lines))
 
 

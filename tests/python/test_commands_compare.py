@@ -135,6 +135,6 @@ def test_one_name_for_all_commands(viscous: Path, tmp_path: Path, capsys: pytest
     assert all_commands.main(["compare", str(viscous), "--json", "--out", str(tmp_path)]) == 0
     assert json.loads(capsys.readouterr().out)["adequate"] is True
     assert all_commands.main(["guess"]) == 2
-    assert "unknown command 'guess'; expected one of fit, predict" in capsys.readouterr().err
+    assert "unknown command 'guess'; expected one of reconstruct, segment, fit" in capsys.readouterr().err
     assert all_commands.main(["--help"]) == 0
     assert "discover" in capsys.readouterr().out

@@ -142,7 +142,7 @@ def test_the_command_resumes_to_the_same_numbers(tmp_path: Path, monkeypatch: py
     whole = answer(fit, capture, "--out", tmp_path / "whole", *options)
     assert whole["transfer"] == "mls"
     assert 0.4 < whole["parameters"]["bar.youngs_modulus"]["value"] / TRUTH["bar.youngs_modulus"] < 1.6
-    real, stages = paper._adam, []
+    real, stages = paper.adam, []
 
     def stopped(*arguments: object) -> object:
         stages.append(1)
@@ -150,10 +150,10 @@ def test_the_command_resumes_to_the_same_numbers(tmp_path: Path, monkeypatch: py
             raise KeyboardInterrupt
         return real(*arguments)
 
-    monkeypatch.setattr(paper, "_adam", stopped)
+    monkeypatch.setattr(paper, "adam", stopped)
     code, _, told = call(fit, capture, "--out", tmp_path / "parts", *options)
     assert code == 130 and "--resume" in told
-    monkeypatch.setattr(paper, "_adam", real)
+    monkeypatch.setattr(paper, "adam", real)
     resumed = answer(fit, "--out", tmp_path / "parts", "--resume")
     assert resumed["parameters"] == whole["parameters"]
     document = json.loads((tmp_path / "parts" / "run.json").read_text())

@@ -135,7 +135,7 @@ def test_an_object_is_found_from_its_views(photographs: list[Photograph]) -> Non
     assert found.losses[-20:].mean() < 0.1 * found.losses[:5].mean()
     assert list(found.metrics) == [photograph.camera.name for photograph in photographs]
     assert np.mean([metrics.psnr for metrics in found.metrics.values()]) > 30
-    assert calls[-1][:2] == (250, 250) and calls[-1][3] == found.gaussians.count
+    assert calls[-1][:2] == (250, 250) and 0.9 * calls[-1][3] < found.gaussians.count <= calls[-1][3]
     assert found.gaussians.degree == 1 and not found.gaussians.positions.requires_grad
     # views that it was not made from
     for photograph in photographs_of(cameras_around(3, 48, first=0.4)):

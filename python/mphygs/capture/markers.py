@@ -22,12 +22,28 @@ class Markers:
 
     position: (T, M, 3) [m], NaN where not measured; at: (M, 3) [m], the markers at rest; sigma: [m], one
     standard deviation of the noise per coordinate; names: M labels, or none.
+    Of tracks from video also spread: (M,) [m], each one's own standard deviation; memory: what of a track's
+    lasting error is carried to the next frame; lasting: that error's share of the variance, the rest is new
+    in every frame.
     """
 
     position: np.ndarray
     at: np.ndarray
     sigma: float
     names: tuple[str, ...] = ()
+    spread: np.ndarray | None = None
+    memory: float = 0.0
+    lasting: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.memory < 1.0 and 0.0 <= self.lasting <= 1.0):
+            raise ValueError(f"memory {self.memory}, lasting {self.lasting}; expected 0 to 1, memory below 1")
+        if self.spread is not None and (
+            self.spread.shape != (len(self.at),)
+            or not np.isfinite(self.spread).all()
+            or self.spread.min() <= 0
+        ):
+            raise ValueError(f"spread: expected {len(self.at)} standard deviations above zero [m]")
 
     def at_rest(self, release: int | None) -> np.ndarray:
         """Median position (M, 3) [m] over the resting frames: those before release, or the first few."""

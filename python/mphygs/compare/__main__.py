@@ -13,9 +13,10 @@ import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, names, plain, run
 from mphygs.compare.assess import Assessment, Compared
+from mphygs.compare.image_errors import image_table, joined
 from mphygs.compare.pictures import save_figure, sequence_figure
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.of_run import chosen_names, errors_of, experiment_of
+from mphygs.fit.of_run import chosen_names, errors_of, experiment_of, pictured_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import errors_text, parameters_of, table
 
@@ -59,6 +60,11 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     document = comparison_document(experiment, compared, assessment)
     folder = options.out or state.folder / "pictures"
     pictures = draw(experiment, compared, folder)
+    pictured = pictured_of(state, experiment, other=options.capture)
+    if pictured is not None:
+        drawn = pictured.errors(belief, names=wanted, films=folder, report=console.say)
+        document["sequences"] = joined(document["sequences"], drawn)
+        document["films"] = [str(folder / f"{name}.mp4") for name in drawn]
     document["pictures"] = [str(path) for path in pictures]
     if options.capture is None and options.sequences is None:
         (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
@@ -100,6 +106,8 @@ def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path)
 
 def _text(document: Mapping[str, object]) -> str:
     lines: list[str] = [errors_text(document["sequences"]), ""]
+    if document.get("films"):
+        lines += [table(image_table(document["sequences"])), ""]
     verdict = "no more than noise" if document["adequate"] else "more than noise"
     p_value = document["p_value"]
     lines.append(f"The misfit is {verdict} (p = {p_value:.2g}, the discretisation's share allowed for).")
@@ -119,6 +127,7 @@ def _text(document: Mapping[str, object]) -> str:
             rows.append([entry["sequence"], f"{first} to {last}", f"{1e3 * entry['rms']:.3f}"])
         lines += ["", table(rows)]
     lines += ["", *(f"picture: {path}" for path in document["pictures"])]
+    lines += [f"video beside prediction: {path}" for path in document.get("films", ())]
     return "\n".join(lines)
 
 

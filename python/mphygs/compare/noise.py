@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
+from mphygs.compare.autoregression import Autoregression
 from mphygs.compare.whitening import NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 
@@ -58,6 +60,8 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     if markers is None:
         raise ValueError(f"sequence '{recording.name}' has no markers")
     position = np.asarray(markers.position, float)
+    if markers.spread is not None:
+        return Observation(position, _noise_of_tracks(markers), np.ones(position.shape[1]))
     rest, what = None, ""
     if recording.release is not None and recording.release >= 20:
         # The last two frames may already move: the release is uncertain by that much.
@@ -95,3 +99,17 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 scale_degrees=noise.scale_degrees,
             )
     return Observation(position, noise, np.ones(position.shape[1]))
+
+
+def _noise_of_tracks(markers: Markers) -> NoiseModel:
+    """Noise of tracks from video as their stage states it: they drift, each with a scale of its own."""
+    lasting = markers.lasting if markers.memory > 0.0 else 0.0
+    none = np.asarray(0.0)
+    return NoiseModel(
+        sigma=np.asarray(markers.spread, float),
+        source=f"tracks from video: as stated, {lasting:.2f} of it lasts by {markers.memory:.2f} a frame",
+        correlated_share=np.asarray(lasting),
+        correlation=Autoregression((markers.memory,) if markers.memory > 0.0 else ()),
+        common_sigma=none,
+        common_correlation=Autoregression(),
+    )

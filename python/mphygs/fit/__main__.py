@@ -14,15 +14,19 @@ import tyro
 
 from mphygs.capture.format import Capture, load_capture
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.compare.image_errors import image_table, joined
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.of_run import capture_of, errors_of
+from mphygs.fit.image_capture import as_one_part, assembled
+from mphygs.fit.of_run import capture_of, errors_of, pictured_of
 from mphygs.fit.paper_plan import check_windows
+from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.run import Run, digest_of, is_run, load_run
 from mphygs.fit.schedule import default_spacing
 from mphygs.fit.start import starting_belief
-from mphygs.fit.tables import errors_text, parameters_of, parameters_text
+from mphygs.fit.tables import errors_text, parameters_of, parameters_text, table
+from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.model.registry import effects
 from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.settings import Settings, check_effects
@@ -61,6 +65,15 @@ class FitOptions(CommonOptions):
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
     """Of the fast schedule: Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, slower for so few
     unknowns."""
+    stages: Path | None = None
+    """Of a capture in pictures: run folder whose stages (Gaussians, parts, tracks, contact) are used, and
+    made where they are missing; default: the run folder itself."""
+    without: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Of a capture in pictures, parts of the method to leave out: l2d (the stage on pictures), ldt (its
+    distance maps), lg (grouping of segments that look alike), windows (growing stretches of the motion),
+    prestress (the internal force that carries gravity at rest)."""
+    homogeneous: bool = False
+    """Of a capture in pictures: one material, fitted to silhouettes alone, as a baseline."""
     plugin: Path | None = None
     """Python file that registers effects of your own, to be named like the others."""
     seed: int = 0
@@ -86,7 +99,7 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     """The complete run of these options, and its capture."""
     if options.plugin is not None:
         load_plugin(options.plugin)
-    if options.resume:
+    if options.resume and not _in_stages(options):
         state = _resumed(options, console)
         capture = capture_of(state)
     else:
@@ -101,8 +114,15 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
     console.begin()
-    given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
-    state = fit_run(state, experiment, **given, progress=console.progress)
+    if state.options.get("homogeneous"):
+        from mphygs.baselines.homogeneous import fit_homogeneous
+
+        state = fit_homogeneous(state, experiment, console.say)
+    elif state.stages is not None:
+        state = fit_pictured(state, experiment, console)
+    else:
+        given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
+        state = fit_run(state, experiment, **given, progress=console.progress)
     state = replace(state, answer=_answer(state, experiment, console))
     state.save()
     return state, capture
@@ -113,10 +133,15 @@ def _answer(state: Run, experiment: Experiment, console: Console) -> dict[str, o
     spacing = state.settings.spacing
     compared = experiment.compare(state.belief, spacing, jacobian=False, report=console.say)
     errors = errors_of(experiment, compared)
+    pictured = pictured_of(state, experiment)
+    drawn = {} if pictured is None else pictured.errors(state.belief, report=console.say)
+    if drawn:
+        errors = joined(errors, drawn)
     predictors = {name: experiment.predictor(name, spacing) for name in state.ranges}
     substep = {name: p.stable_substep(state.belief) for name, p in predictors.items()}
     problem = experiment.problem(spacing)
-    return {
+    pictures = {} if state.stages is None else {"stages": kept_seconds(state.stages)}
+    return pictures | {
         "run": str(state.folder),
         "parameters": parameters_of(state),
         "seconds": sum(stage.seconds for stage in state.history),
@@ -133,6 +158,8 @@ def _answer(state: Run, experiment: Experiment, console: Console) -> dict[str, o
 def _text(state: Run, capture: Capture, embedded: bool) -> str:
     answer = state.answer
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
+    if state.stages is not None:
+        lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
     steps = ", ".join(f"{1e6 * dt:.0f} us on {name}" for name, dt in answer["substep"].items())
     lines.append(
         f"{answer['seconds']:.1f} s; {answer['substeps']} substeps in one pass over these frames ({steps})"
@@ -165,12 +192,17 @@ def _check(options: FitOptions) -> None:
         check_windows(names(options.effects))
         if options.optimiser == "lbfgs":
             raise OptionError("--optimiser lbfgs: not with --schedule paper, whose optimiser is adam")
+    for name in names(options.without):
+        if name not in PARTS:
+            raise OptionError(f"--without: unknown '{name}'; expected some of {', '.join(PARTS)}")
+    if options.homogeneous and (options.without or options.effects):
+        raise OptionError("--homogeneous: not with --without or --effects; expected it alone")
     check_effects(options.transfer, names(options.effects))
 
 
 def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     """A run that begins, and its capture."""
-    out = options.out
+    out, stages = options.out, None
     if options.capture is None:
         from mphygs.synth.embedded import embedded_capture
 
@@ -184,9 +216,17 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         capture = load_capture(path)
         out = out or RUNS / capture.name
         _claim(out)
+        stages, capture = _seen(options, capture, out, console)
+    if stages is None and (options.without or options.homogeneous or options.stages):
+        name = "--without" if options.without else "--homogeneous" if options.homogeneous else "--stages"
+        raise OptionError(f"{name}: {path} has markers; expected a capture in pictures")
     settings = Settings(spacing=options.spacing or default_spacing(capture), transfer=options.transfer)
     wanted = names(options.sequences)
     belief = starting_belief(capture, prestress=options.prestress, law=options.law)
+    if stages is not None:
+        belief = pictured_belief(
+            belief, stages, without=names(options.without), homogeneous=options.homogeneous
+        )
     frames = _frames(options.frames, capture, wanted)
     try:
         experiment = Experiment.of(capture, settings, sequences=wanted or None, frames=frames)
@@ -206,9 +246,32 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     state = Run(
         folder=out, options=given, seed=options.seed, capture=path, digest=digest_of(capture),
         settings=settings, ranges=dict(experiment.fitted),
-        start=belief, belief=belief,
+        start=belief, belief=belief, stages=stages,
     )  # fmt: skip
     return state, capture
+
+
+def _in_stages(options: FitOptions) -> bool:
+    """Whether the run in --out was broken off before its fit began."""
+    folder = options.out
+    return (
+        folder is not None
+        and not is_run(folder)
+        and (folder / FOLDER).is_dir()
+        and options.capture is not None
+    )
+
+
+def _seen(options: FitOptions, capture: Capture, out: Path, console: Console) -> tuple[Path | None, Capture]:
+    """Folder of the stages, None where none is needed, and the capture with what they found."""
+    if not has_stages(capture):
+        return None, capture
+    home = options.stages or out
+    again = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(out))}"
+    console.resume = again + (f" --stages {shlex.quote(str(home))}" if options.stages else "")
+    run_stages(capture, options.capture, home, console)
+    whole = assembled(capture, home / FOLDER)
+    return home / FOLDER, as_one_part(whole) if options.homogeneous else whole
 
 
 def _claim(folder: Path) -> None:
@@ -220,6 +283,7 @@ def _claim(folder: Path) -> None:
         and any(folder.iterdir())
         and not is_run(folder)
         and not (folder / "capture" / "answer.json").is_file()
+        and not (folder / FOLDER).is_dir()
     ):
         raise OptionError(
             f"--out {folder}: has files that are not a run's; expected a run folder, or a new one"

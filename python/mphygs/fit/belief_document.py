@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from mphygs.model.belief import Belief, Parameter, Term
+from mphygs.model.belief import Belief, Likeness, Parameter, Term
 
 # JSON has no infinity: these are absent where they are infinite.
 _UNBOUNDED = {"lower": -math.inf, "upper": math.inf, "prior_std": math.inf}
@@ -36,7 +36,7 @@ def document_of_belief(belief: Belief) -> dict[str, object]:
             if entry[key] == infinite:
                 del entry[key]
         parameters.append(plain_value(entry))
-    return {
+    document = {
         "parts": list(belief.parts),
         "gravity": np.asarray(belief.gravity, float).tolist(),
         "parameters": parameters,
@@ -45,6 +45,9 @@ def document_of_belief(belief: Belief) -> dict[str, object]:
         "law": belief.law,
         "known_mass": belief.known_mass,
     }
+    if belief.likenesses:
+        document["likenesses"] = [plain_value(asdict(likeness)) for likeness in belief.likenesses]
+    return document
 
 
 def belief_from_document(document: Mapping[str, object]) -> Belief:
@@ -57,4 +60,8 @@ def belief_from_document(document: Mapping[str, object]) -> Belief:
         prestress=document["prestress"],
         law=document["law"],
         known_mass=document["known_mass"],
+        likenesses=tuple(
+            Likeness(tuple(entry["keys"]), tuple(entry["coefficients"]), entry["std"])
+            for entry in document.get("likenesses", ())
+        ),
     )

@@ -31,6 +31,7 @@ def fit_by_gradient(
     after_stage: Callable[[Stage, Solution], None] | None = None,
     start_stage: int = 0,
     problems: dict[float, Problem] | None = None,
+    plan: tuple[Stage, ...] | None = None,
 ) -> Solution:
     """Run the stages of `fit_belief` with method "adam" or "lbfgs"; arguments as there.
 
@@ -38,7 +39,8 @@ def fit_by_gradient(
     """
     problems = {} if problems is None else problems
     solution = None
-    for number, stage in enumerate(plan_of(capture, settings.spacing, warm=warm)):
+    plan = plan_of(capture, settings.spacing, warm=warm) if plan is None else plan
+    for number, stage in enumerate(plan):
         if number < start_stage:
             continue
         if stage.spacing not in problems:

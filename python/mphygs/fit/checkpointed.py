@@ -29,12 +29,14 @@ def fit_run(
     optimiser: str = "gauss-newton",
     schedule: str = "fast",
     warm: bool = False,
+    windows: bool = True,
     progress: Callable[[float, str], None] | None = None,
 ) -> Run:
     """Run the stages that a run has not had yet; the folder is written after each of them.
 
     optimiser: gauss-newton, adam or lbfgs, of the schedule "fast"; schedule: that, or "paper", which takes
-    Adam; warm: the run's belief is near its minimum already (fast only); progress: told the share of the work
+    Adam; warm: the run's belief is near its minimum already (fast only); windows: False fits all frames
+    at once from the start, as an ablation; progress: told the share of the work
     done, and a line.
     Raises SimulationError where the fit cannot start.
     """
@@ -45,6 +47,8 @@ def fit_run(
     plan: Sequence[Stage | PaperStage] = (
         paper_plan(spacing, experiment.fitted) if paper else plan_of(experiment.capture, spacing, warm=warm)
     )
+    if not windows:
+        plan = tuple(s for s in plan if (s.length is None if isinstance(s, PaperStage) else s.share == 1.0))
     total = sum(stage.work for stage in plan)
     done = sum(stage.work for stage in plan[: len(run.history)])
     begin = time.monotonic()
@@ -104,5 +108,6 @@ def fit_run(
         after_stage=after_stage,
         start_stage=len(run.history),
         problems=experiment.problems,
+        plan=tuple(plan),
     )
     return run

@@ -49,8 +49,10 @@ def reference_std(parameter: Parameter) -> float:
 def information_of(evaluation: Evaluation, free_count: int) -> np.ndarray:
     """Fisher information of the measurements, a known mass included, about the free coordinates, (P, P)."""
     rows = evaluation.data_rows
+    if evaluation.jacobian.shape[1] != free_count:
+        raise ValueError(f"jacobian by {evaluation.jacobian.shape[1]} coordinates; expected {free_count}")
     # The priors' rows stand behind the measured ones, a known mass behind them.
-    measured = np.delete(evaluation.jacobian, np.s_[rows : rows + free_count], axis=0)
+    measured = np.delete(evaluation.jacobian, np.s_[rows : rows + evaluation.prior_rows], axis=0)
     return measured.T @ measured
 
 

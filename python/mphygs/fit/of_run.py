@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,19 +14,41 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import sequence_errors
 from mphygs.compare.noise import observe
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.run import Run, digest_of
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 
+if TYPE_CHECKING:
+    from mphygs.fit.pictured import Pictured
+
 
 def capture_of(run: Run) -> Capture:
     """The capture that a run was fitted to. Raises ValueError when it is no longer what was fitted."""
-    capture = load_capture(run.capture)
+    capture = _with_stages(load_capture(run.capture), run)
     if digest_of(capture) != run.digest:
         raise ValueError(
             f"{run.capture}: has changed since {run.folder} was fitted; expected the same capture"
         )
     return capture
+
+
+def _with_stages(capture: Capture, run: Run, *, tracked: bool = True) -> Capture:
+    """A capture with what the stages of a run found of the object, where the run has stages."""
+    if run.stages is None:
+        return capture
+    capture = assembled(capture, run.stages, tracked=tracked)
+    return as_one_part(capture) if run.options.get("homogeneous") else capture
+
+
+def pictured_of(run: Run, experiment: Experiment, *, other: Path | None = None) -> Pictured | None:
+    """What it takes to draw a run's predictions; None for a capture without pictures of the object."""
+    if run.stages is None:
+        return None
+    # torch takes seconds to import
+    from mphygs.fit.pictured import Pictured
+
+    return Pictured.of(experiment, load_capture(run.capture if other is None else other), run.stages)
 
 
 def experiment_of(
@@ -42,7 +65,8 @@ def experiment_of(
         for name, left_out in run.left_out.items():
             _leave_out(experiment, name, np.array(left_out))
         return experiment, run.belief
-    capture = load_capture(other)
+    # Tracks of another capture are not among this run's stages.
+    capture = _with_stages(load_capture(other), run, tracked=False)
     parts = tuple(part.name for part in capture.parts)
     if parts != run.belief.parts:
         expected = ", ".join(run.belief.parts)

@@ -113,10 +113,18 @@ class _Batch:
         return cost, gradient
 
 
-def _adam(batch: _Batch, belief: Belief, tell: Callable[[int, float], None]) -> tuple[Belief, list[float]]:
-    """The best belief that Adam meets in a stage, and the least cost after every iteration."""
+def adam(
+    measure: Callable[[Belief], tuple[float, np.ndarray]],
+    belief: Belief,
+    tell: Callable[[int, float], None],
+) -> tuple[Belief, list[float]]:
+    """The best belief that Adam meets in a stage, and the least cost after every iteration.
+
+    measure: cost and gradient (P,) by the free coordinates. Raises SimulationError where the belief cannot be
+    simulated.
+    """
     count = len(belief.free)
-    objective = Objective(batch.measure, belief, 1.0, np.eye(count))
+    objective = Objective(measure, belief, 1.0, np.eye(count))
     point = torch.zeros(count, dtype=torch.float64, requires_grad=True)
     optimiser = torch.optim.Adam([point], lr=LEARNING_RATE)
     rate = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, ITERATIONS)
@@ -145,6 +153,7 @@ def fit_by_windows(
     after_stage: Callable[[PaperStage, Solution], None] | None = None,
     start_stage: int = 0,
     problems: dict[float, Problem] | None = None,
+    plan: tuple[PaperStage, ...] | None = None,
 ) -> Solution:
     """Run the paper's stages from a belief; arguments as those of `fit_belief`.
 
@@ -157,7 +166,7 @@ def fit_by_windows(
     if settings.spacing not in problems:
         problems[settings.spacing] = Problem(capture, settings, ranges, observations)
     problem = problems[settings.spacing].with_ranges(ranges)
-    plan = paper_plan(settings.spacing, ranges)
+    plan = paper_plan(settings.spacing, ranges) if plan is None else plan
     solution = None
     for number, stage in enumerate(plan):
         if number < start_stage:
@@ -167,7 +176,7 @@ def fit_by_windows(
             if report:
                 report(f"{stage.name}: iteration {iteration} of {ITERATIONS}, cost {cost:.4g}")
 
-        belief, history = _adam(_Batch.of(problem, stage), belief, tell)
+        belief, history = adam(_Batch.of(problem, stage).measure, belief, tell)
         evaluation = problem.evaluate(belief, jacobian=number + 1 == len(plan))
         solution = Solution(belief, evaluation, tuple(history), True, "iterations done")
         if after_stage:

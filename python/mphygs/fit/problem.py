@@ -20,11 +20,15 @@ MASS_TOLERANCE = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Whitened residual (N,), Jacobian (N, P) by the free coordinates, and where the rows come from."""
+    """Whitened residual (N,), Jacobian (N, P) by the free coordinates, and where the rows come from.
+
+    data_rows: rows of measurements, the first; prior_rows: rows of priors, right behind them.
+    """
 
     residual: np.ndarray
     jacobian: np.ndarray
     data_rows: int
+    prior_rows: int
     rows: dict[str, slice]
     positions: dict[str, np.ndarray]
     substeps: int
@@ -112,12 +116,16 @@ class Problem:
         full[count:] = prior_slope
         if not np.isfinite(residual).all():
             raise SimulationError("the prediction is not finite")
-        return Evaluation(residual, full, count, rows, positions, substeps)
+        priors = len(free) + len(belief.likenesses)
+        return Evaluation(residual, full, count, priors, rows, positions, substeps)
 
     def prior_rows(self, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (R,) of the priors and of the stated mass, and their Jacobian (R, P)."""
         prior = np.array([p.prior_residual for p in belief.free]).reshape(-1, 2)
-        return self._with_mass(belief, prior[:, 0], np.diag(prior[:, 1]))
+        residual, slope = belief.likeness_rows()
+        return self._with_mass(
+            belief, np.r_[prior[:, 0], residual], np.concatenate([np.diag(prior[:, 1]), slope])
+        )
 
     def _with_mass(
         self, belief: Belief, residual: np.ndarray, jacobian: np.ndarray

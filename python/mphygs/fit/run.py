@@ -42,7 +42,8 @@ class Run:
     """A fit, finished or on its way.
 
     folder: where it is kept; options: of the command, as given; capture: folder of the capture fitted,
-    digest: of its content; settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
+    digest: of its content; stages: folder of the stages of an image capture, None for others;
+    settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
     covariance: (P, P) of the free coordinates, information: (P, P) what the measurements alone say of them,
     both None until the fit is complete; history: stages done;
     start: the belief that the fit began with; left_out:
@@ -64,6 +65,7 @@ class Run:
     history: tuple[StageRecord, ...] = ()
     left_out: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     answer: Mapping[str, object] | None = None
+    stages: Path | None = None
 
     @property
     def transfer(self) -> str:
@@ -95,17 +97,16 @@ class Run:
         _replace_file(self.folder / DOCUMENT, (json.dumps(self._document(), indent=1) + "\n").encode())
 
     def _document(self) -> dict[str, object]:
-        capture = self.capture.resolve()
-        folder = self.folder.resolve()
-        inside = capture.is_relative_to(folder)
+        stages = {} if self.stages is None else {"stages": self._told(self.stages)}
         return {
             "format": FORMAT,
             "complete": self.complete,
             "options": plain_value(self.options),
             "versions": dict(self.versions),
             "seed": self.seed,
-            "capture": str(capture.relative_to(folder) if inside else capture),
+            "capture": self._told(self.capture),
             "digest": self.digest,
+            **stages,
             "transfer": self.transfer,
             "settings": {
                 "spacing": self.settings.spacing,
@@ -120,6 +121,11 @@ class Run:
             "left_out": plain_value(self.left_out),
             "answer": plain_value(self.answer),
         }
+
+    def _told(self, path: Path) -> str:
+        """A path as the document has it: what stands inside the run folder moves with it."""
+        inside = path.resolve().is_relative_to(self.folder.resolve())
+        return str(path.resolve().relative_to(self.folder.resolve()) if inside else path.resolve())
 
 
 def versions() -> dict[str, str]:
@@ -161,6 +167,8 @@ def digest_of(capture: Capture) -> str:
             add(np.asarray(load.box), np.asarray(load.force), load.start_frame)
         if recording.markers is not None:
             add(recording.markers.at, recording.markers.position, recording.markers.sigma)
+            if recording.markers.spread is not None:
+                add(recording.markers.spread, recording.markers.memory, recording.markers.lasting)
     return hashed.hexdigest()
 
 
@@ -206,6 +214,7 @@ def load_run(path: str | Path) -> Run:
             # A capture inside the run folder moves with it.
             capture=folder / document["capture"],
             digest=document["digest"],
+            stages=folder / document["stages"] if "stages" in document else None,
             settings=Settings(**document["settings"], transfer=document["transfer"]),
             ranges={name: (int(a), int(b)) for name, (a, b) in document["ranges"].items()},
             start=belief_from_document(document["start"]),

@@ -28,6 +28,9 @@ HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 CONTRAST = 40.0
 # How many iterations a stage takes, as far as progress is concerned.
 USUAL_ITERATIONS = 5
+# A rest shape that has to be solved for takes long where it is too soft: after so many factors in a row that
+# are worse than the best, softer ones are not tried.
+PATIENCE = 2
 # Common factors on all Young's moduli that are tried before anything else.
 SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
 
@@ -86,8 +89,11 @@ def plan_of(capture: Capture, spacing: float, *, warm: bool) -> tuple[Stage, ...
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
     """Move all free Young's moduli together to the factor that fits the first frames best."""
     keys = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
-    best, best_cost = None, np.inf
+    best, best_cost, worse = None, np.inf, 0
     for scale in sorted(SCALES, reverse=True):
+        if best is not None and worse >= PATIENCE and belief.prestress == "equilibrium":
+            break
+        worse += 1
         trial = belief
         for key in keys:
             p = belief[key]
@@ -99,7 +105,7 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
         if report:
             report(f"scale {scale:.3g}: cost {cost:.4g}")
         if cost < best_cost:
-            best, best_cost = trial, cost
+            best, best_cost, worse = trial, cost, 0
     if best is None:
         raise SimulationError("no stiffness between 3 kPa and 3 MPa could be simulated from the start")
     for key in keys:
@@ -146,13 +152,15 @@ def fit_belief(
     after_stage: Callable[[Stage, Solution], None] | None = None,
     start_stage: int = 0,
     problems: dict[float, Problem] | None = None,
+    plan: tuple[Stage, ...] | None = None,
 ) -> tuple[Solution, Problem]:
     """Run the schedule from a belief. Returns the last stage's solution and problem.
 
     ranges: frames to fit per sequence; settings.spacing is the fine spacing; warm: the belief is near its
-    minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here.
+    minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here;
+    plan: stages in place of the usual ones.
     """
-    plan = plan_of(capture, settings.spacing, warm=warm)
+    plan = plan_of(capture, settings.spacing, warm=warm) if plan is None else plan
     problems = {} if problems is None else problems
     solution = None
     earlier: tuple[Belief, ...] = ()

@@ -67,7 +67,7 @@ def errors_text(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]
     for name, ranges in sequences.items():
         for label in ("fit", "predict", "all"):
             error = ranges.get(label)
-            if error is not None:
+            if error is not None and error["rms"] is not None:
                 rows.append(
                     [
                         name,

@@ -76,6 +76,22 @@ class Term:
 
 
 @dataclass(frozen=True)
+class Likeness:
+    """A prior on several parameters together: the sum of coefficients times logarithms of values is zero,
+    give or take std."""
+
+    keys: tuple[str, ...]
+    coefficients: tuple[float, ...]
+    std: float
+
+    def __post_init__(self) -> None:
+        if len(self.keys) != len(self.coefficients) or not self.std > 0:
+            raise ValueError(
+                f"likeness of {', '.join(self.keys)}: expected a coefficient each, std above zero"
+            )
+
+
+@dataclass(frozen=True)
 class Belief:
     """Materials and effects of one object. Free parameters keep the order of `parameters`."""
 
@@ -86,6 +102,7 @@ class Belief:
     prestress: str = "off"
     law: str = "neo-hookean"
     known_mass: float | None = None
+    likenesses: tuple[Likeness, ...] = ()
 
     def __post_init__(self) -> None:
         if self.prestress not in PRESTRESS_MODES:
@@ -95,6 +112,11 @@ class Belief:
         keys = [p.key for p in self.parameters]
         if len(set(keys)) != len(keys):
             raise ValueError("parameter keys must be unique")
+        positive = {p.key for p in self.parameters if p.lower > 0.0}
+        for likeness in self.likenesses:
+            for key in likeness.keys:
+                if key not in positive:
+                    raise ValueError(f"likeness: '{key}' is no parameter that is above zero")
 
     def __getitem__(self, key: str) -> Parameter:
         for parameter in self.parameters:
@@ -123,6 +145,19 @@ class Belief:
     def coordinates(self) -> np.ndarray:
         """(P,) of the free parameters."""
         return np.array([p.coordinate for p in self.free])
+
+    def likeness_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (L,) of the likenesses, and their derivative (L, P) by the free coordinates."""
+        column = {p.key: k for k, p in enumerate(self.free)}
+        residual, slope = np.zeros(len(self.likenesses)), np.zeros((len(self.likenesses), len(column)))
+        by_key = {p.key: p for p in self.parameters}
+        for row, likeness in enumerate(self.likenesses):
+            for key, coefficient in zip(likeness.keys, likeness.coefficients, strict=True):
+                residual[row] += coefficient * math.log(by_key[key].value) / likeness.std
+                if key in column:
+                    relative = by_key[key].slope / by_key[key].value
+                    slope[row, column[key]] += coefficient * relative / likeness.std
+        return residual, slope
 
     def at(self, coordinates: np.ndarray) -> Belief:
         """This belief with the free parameters moved to (P,) coordinates."""

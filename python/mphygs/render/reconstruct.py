@@ -15,6 +15,7 @@ from mphygs.capture.views import LEAST_REST_VIEWS, Photograph
 from mphygs.render.density_control import DensityControl, DensityRule
 from mphygs.render.image_losses import feature_loss, image_loss
 from mphygs.render.image_metrics import ImageMetrics, image_metrics
+from mphygs.render.lifting import gathered
 from mphygs.render.raw_gaussians import RawGaussians
 from mphygs.render.splatting import splat
 from mphygs.scene.first_gaussians import first_points, gaussians_at, mean_features
@@ -22,6 +23,7 @@ from mphygs.scene.gaussians import Gaussians
 
 Progress = Callable[[int, int, float, int], None]
 _REPORT = 10  # iterations
+_LEAST_SEEN = 0.03  # [px] of a Gaussian, in the mean over views
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def reconstruct(
             progress(
                 done, settings.iterations, float(losses[max(0, done - _REPORT) : done].mean()), raw.count
             )
-    gaussians = raw.gaussians().each(torch.Tensor.detach)
+    gaussians = _seen(raw.gaussians().each(torch.Tensor.detach), photographs)
     metrics = {p.camera.name: image_metrics(splat(gaussians, p.camera), p) for p in photographs}
     return Reconstruction(gaussians, losses, metrics)
 
@@ -143,6 +145,16 @@ def _checked(photographs: Sequence[Photograph], feature_maps: Sequence[Tensor] |
 def _shrunk(mask: Tensor, values: Tensor) -> Tensor:
     """The mask (H, W) at the resolution (h, w) of a feature map."""
     return torch.nn.functional.adaptive_avg_pool2d(mask[None], values.shape[:2])[0]
+
+
+def _seen(gaussians: Gaussians, photographs: Sequence[Photograph]) -> Gaussians:
+    """The Gaussians of which the views see anything: nothing says where the others belong."""
+    amount = torch.zeros(gaussians.count)
+    for photograph in photographs:
+        camera = photograph.camera
+        amount += gathered(gaussians, camera, torch.ones(camera.height, camera.width, 1))[:, 0]
+    kept = amount >= _LEAST_SEEN * len(photographs)
+    return gaussians.each(lambda tensor: tensor[kept])
 
 
 def _rates(settings: ReconstructionSettings, extent: float, iteration: int) -> dict[str, float]:

@@ -16,12 +16,13 @@ import tyro
 from mphygs.command import Answer, CommonOptions, Console, plain, run
 from mphygs.compare.__main__ import comparison_document
 from mphygs.compare.assess import Compared
+from mphygs.compare.image_errors import joined
 from mphygs.compare.pictures import sequence_figure
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
 from mphygs.extend.__main__ import DOCUMENT as STEPS
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.of_run import chosen_names, experiment_of
+from mphygs.fit.of_run import chosen_names, experiment_of, pictured_of
 from mphygs.fit.run import Run, load_run
 from mphygs.fit.tables import parameters_of
 from mphygs.model.belief import Belief
@@ -67,11 +68,18 @@ def report(options: ReportOptions, console: Console) -> Answer:
         known = experiment.with_release(belief, name, spacing)
         motions[name] = motion_of(experiment, known, name, state, forces.get(name))
         pictures[name] = _picture(experiment, compared[name], name)
+    comparison = comparison_document(experiment, compared, assessment)
+    pictured = pictured_of(state, experiment)
+    if pictured is not None:
+        drawn = pictured.errors(belief, names=wanted, report=console.say)
+        comparison["sequences"] = joined(comparison["sequences"], drawn)
+        for name in drawn:
+            pictures[f"{name}, video beside prediction"] = pictured.still(belief, name)
     contents = Contents(
         run=state,
         capture=experiment.capture,
         parameters=plain(parameters),
-        comparison=plain(comparison_document(experiment, compared, assessment)),
+        comparison=plain(comparison),
         pictures=pictures,
         motions=plain(motions),
         commands=commands_of(state),
@@ -119,7 +127,7 @@ def commands_of(state: Run) -> list[str]:
     for key, value in options.items():
         if key in ("json", "resume", "out", "workers", "capture", "run", "effect") or value in (None, False):
             continue
-        words += [f"--{key.replace('_', '-')}", str(value)]
+        words += [f"--{key.replace('_', '-')}"] + ([] if value is True else [str(value)])
     if "effect" in options:
         words[2:2] = [str(options["run"]), *options["effect"]]
     elif options.get("capture"):

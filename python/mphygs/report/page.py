@@ -117,13 +117,24 @@ def _fitted(contents: Contents) -> str:
 
 
 def _errors(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]]) -> str:
-    rows = [
-        [name, label, 1e3 * error["rms"], 1e3 * error["max"], error["rms_over_sigma"], error["count"]]
+    told = [
+        (name, label, error)
         for name, ranges in sequences.items()
         for label, error in ranges.items()
         if error is not None
     ]
-    return table(["sequence", "frames", "rms mm", "max mm", "rms / sigma", "points"], rows)
+    rows = [
+        [name, label, 1e3 * error["rms"], 1e3 * error["max"], error["rms_over_sigma"], error["count"]]
+        for name, label, error in told
+        if error["rms"] is not None
+    ]
+    out = table(["sequence", "frames", "rms mm", "max mm", "rms / sigma", "points"], rows)
+    drawn = [
+        [name, label, error["psnr"], 100 * error["iou"], error["chamfer_px"]]
+        for name, label, error in told
+        if "psnr" in error
+    ]
+    return out + (table(["sequence", "frames", "PSNR dB", "IoU %", "chamfer px"], drawn) if drawn else "")
 
 
 def _prediction(contents: Contents) -> str:

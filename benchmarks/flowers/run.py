@@ -1,0 +1,187 @@
+"""Flowers from pixels to prediction: full method, its ablations and a homogeneous model, one table.
+
+    python benchmarks/flowers/run.py [--species daisy,lily] [--variants full,no-l2d] [--out DIR] [--json]
+
+Captures, stages, runs and results are kept in the output folder; what is there already is not done again, so
+an interrupted benchmark goes on where it stopped. Every command runs in a process of its own, whose time and
+peak memory are measured.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from judge import judged
+from table import document, markdown
+
+from mphygs.capture.format import load_capture
+from mphygs.command import plain
+from mphygs.image_stages import FOLDER, missing_stages
+from mphygs.synth.flower import SPECIES
+
+TEN = tuple(SPECIES)[:10]
+VARIANTS = {
+    "full": (),
+    "no-l2d": ("--without", "l2d"),
+    "no-ldt": ("--without", "ldt"),
+    "no-lg": ("--without", "lg"),
+    "no-windows": ("--without", "windows"),
+    "no-prestress": ("--without", "prestress"),
+    "homogeneous": ("--homogeneous",),
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Make flowers, find what they are made of from their videos, and say how well it went."""
+
+    species: Annotated[str, tyro.conf.arg(metavar="a,b")] = ",".join(TEN)
+    """Flowers to make."""
+    variants: Annotated[str, tyro.conf.arg(metavar="a,b")] = ",".join(VARIANTS)
+    """The full method, and what it is held against."""
+    out: Path = Path("runs/flowers")
+    """Folder for captures, runs and results."""
+    seed: int = 0
+    """Of growth, materials, motions and textures."""
+    size: int = 256
+    """Width and height of the pictures [px]."""
+    frames: int = 100
+    """Of each motion."""
+    cameras: int = 5
+    """That see the motions."""
+    rest_views: int = 32
+    """Pictures of the flower at rest."""
+    spacing: float | None = None
+    """Grid spacing of the fits [m]; default: theirs."""
+    schedule: str = "fast"
+    """Of the fits: fast or paper."""
+    workers: int = os.cpu_count() or 1
+    """Simulations side by side."""
+    again: bool = False
+    """Fit again where there is a result; captures and stages are kept."""
+    json: bool = False
+    """Print one JSON object on standard output, and the rest on standard error."""
+
+
+class CommandError(RuntimeError):
+    """A command that failed: its last line."""
+
+
+def measured(arguments: list[str], log: Path) -> dict[str, float | dict]:
+    """Run `mphygs ARGUMENTS --json`. Seconds, peak memory [byte] and the answer. Raises CommandError."""
+    began = time.perf_counter()
+    log.parent.mkdir(parents=True, exist_ok=True)
+    answer = log.with_suffix(".json")
+    command = [sys.executable, "-m", "mphygs", *arguments, "--json"]
+    with log.open("a") as errors, answer.open("w") as out:
+        child = subprocess.Popen(command, stdout=out, stderr=errors)
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode != 0:
+        lines = log.read_text().strip().splitlines()
+        raise CommandError(f"mphygs {arguments[0]}: {lines[-1] if lines else 'failed'}")
+    seconds = time.perf_counter() - began
+    return {"seconds": seconds, "memory": 1024 * usage.ru_maxrss, "answer": json.loads(answer.read_text())}
+
+
+def made(options: Options, species: str) -> Path:
+    """The capture of a flower, made unless it is there."""
+    folder = options.out / "captures" / species
+    keys = ("seed", "size", "frames", "cameras", "rest_views")
+    given = [part for k in keys for part in (f"--{k.replace('_', '-')}", str(getattr(options, k)))]
+    arguments = ["synth", "flower", "--out", str(folder), "--species", species, *given]
+    measured(arguments, options.out / "logs" / f"{species}-synth.log")
+    return folder
+
+
+def staged(options: Options, species: str, capture: Path) -> tuple[Path, dict[str, dict[str, float]]]:
+    """Run folder with all stages of a flower, and what each cost, kept beside it."""
+    home = options.out / "runs" / species / "stages-of"
+    kept = options.out / "results" / f"{species}-stages.json"
+    costs = json.loads(kept.read_text()) if kept.is_file() else {}
+    for stage in missing_stages(load_capture(capture), home / FOLDER):
+        if stage.file.exists():
+            continue
+        print(f"    {stage.name}", file=sys.stderr, flush=True)
+        log = options.out / "logs" / f"{species}-{stage.name.replace(' ', '-')}.log"
+        found = measured([stage.command, str(capture), "--out", str(home), *stage.arguments], log)
+        costs[stage.name] = {"seconds": found["seconds"], "memory": found["memory"]}
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(costs, indent=1) + "\n")
+    return home, costs
+
+
+def fitted(options: Options, species: str, variant: str, capture: Path, home: Path) -> dict[str, object]:
+    """One variant fitted, judged by the truth."""
+    run = options.out / "runs" / species / variant
+    arguments = ["fit", str(capture), "--out", str(run), "--stages", str(home)]
+    arguments += ["--schedule", options.schedule, "--workers", str(options.workers), *VARIANTS[variant]]
+    if options.spacing is not None:
+        arguments += ["--spacing", str(options.spacing)]
+    found = measured(arguments, options.out / "logs" / f"{species}-{variant}.log")
+    entry = judged(run, capture, found["answer"])
+    return entry | {"seconds": found["seconds"], "memory": found["memory"]}
+
+
+def records_of(options: Options, species: str, variants: list[str]) -> list[dict[str, object]]:
+    """The results of one flower, those that are there already and new ones; a failure is one as well."""
+    results = options.out / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    keys = ("seed", "size", "frames", "cameras", "rest_views", "spacing", "schedule")
+    spec = {key: asdict(options)[key] for key in keys}
+    records, capture, home, costs = [], None, None, {}
+    for variant in variants:
+        path = results / f"{species}-{variant}.json"
+        if path.is_file() and not options.again:
+            entry = json.loads(path.read_text())
+            if entry["spec"] == spec and "error" not in entry:
+                records.append(entry)
+                continue
+        print(f"{species}, {variant}", file=sys.stderr, flush=True)
+        entry = {"species": species, "variant": variant, "spec": spec}
+        try:
+            if capture is None:
+                capture = made(options, species)
+                home, costs = staged(options, species, capture)
+            entry |= fitted(options, species, variant, capture, home) | {"stages": costs}
+        # whatever one flower trips over, the others go on, and it is run again next time
+        except (CommandError, ValueError, OSError) as error:
+            entry["error"] = " ".join(str(error).split())
+            print(f"    {entry['error']}", file=sys.stderr, flush=True)
+        partial = path.with_suffix(".part")
+        partial.write_text(json.dumps(plain(entry), indent=1) + "\n")
+        partial.replace(path)
+        records.append(plain(entry))
+    return records
+
+
+def main() -> int:
+    """Run, print, and keep everything in the output folder."""
+    options = tyro.cli(Options, config=(tyro.conf.FlagCreatePairsOff,))
+    species = [name.strip() for name in options.species.split(",") if name.strip()]
+    variants = [name.strip() for name in options.variants.split(",") if name.strip()]
+    for name, known in [*((s, SPECIES) for s in species), *((v, VARIANTS) for v in variants)]:
+        if name not in known:
+            print(f"'{name}': expected some of {', '.join(known)}", file=sys.stderr)
+            return 2
+    records = [entry for name in species for entry in records_of(options, name, variants)]
+    found = document(records)
+    (options.out / "table.json").write_text(json.dumps(found, indent=1) + "\n")
+    text = markdown(found)
+    (options.out / "README.md").write_text(text)
+    print(text, file=sys.stderr if options.json else sys.stdout)
+    if options.json:
+        print(json.dumps(found))
+    return 1 if any("error" in entry for entry in records) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,110 @@
+"""The flowers' table, as JSON and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+METRICS = ("psnr", "iou", "chamfer_px")
+# Of the paper, over its ten real flowers: PSNR, IoU, chamfer distance in sequence, then across.
+PAPER = {
+    "M-PhyGs (paper, real flowers)": ((18.49, 0.706, 3.3), (17.99, 0.651, 4.9)),
+    "GIC (paper, real flowers)": ((15.78, 0.095, 169.6), (15.85, 0.062, 208.1)),
+}
+
+
+def document(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
+    """All records, and means over flowers by variant."""
+    variants = list(dict.fromkeys(str(entry["variant"]) for entry in records))
+    means = {}
+    for variant in variants:
+        done = [e for e in records if e["variant"] == variant and "error" not in e]
+        if done:
+            means[variant] = _means(done)
+    return {"variants": means, "flowers": list(records)}
+
+
+def _means(done: Sequence[Mapping]) -> dict[str, object]:
+    found: dict[str, object] = {"flowers": len(done)}
+    for where in ("fit", "in", "cross"):
+        found[where] = {key: _mean([entry[where][key] for entry in done]) for key in METRICS}
+        found[where]["rms"] = _mean([entry[where]["rms"] for entry in done])
+    for symbol in ("E", "rho"):
+        errors = [
+            abs(item["error"])
+            for entry in done
+            for key, item in entry["materials"].items()
+            if key.endswith(f".{symbol}") and item["identifiable"]
+        ]
+        found[f"log_{symbol}"] = {"mean": _mean(errors), "count": len(errors)}
+    found["adjusted_rand_index"] = _mean([entry["adjusted_rand_index"] for entry in done])
+    found["seconds"] = _mean([entry["seconds"] for entry in done])
+    found["stage_seconds"] = _mean([sum(s["seconds"] for s in entry["stages"].values()) for entry in done])
+    peaks = [max([e["memory"], *(s["memory"] for s in e["stages"].values())]) for e in done]
+    found["memory"] = max(peaks)
+    return found
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def markdown(found: Mapping[str, object]) -> str:
+    """The document for people."""
+    lines = [
+        "# Flowers",
+        "",
+        "In sequence: frames after those fitted; across: the other motion.",
+        "",
+    ]
+    measures = ("", "PSNR in / across", "IoU in / across", "chamfer in / across [px]")
+    lines += _row(*measures, "error of log E", "of log rho", "seconds", "memory [GB]", head=True)
+    for variant, means in found["variants"].items():
+        inside, across = means["in"], means["cross"]
+        lines += _row(
+            variant,
+            f"{_number(inside['psnr'], 2)} / {_number(across['psnr'], 2)}",
+            f"{_number(inside['iou'], 3)} / {_number(across['iou'], 3)}",
+            f"{_number(inside['chamfer_px'], 2)} / {_number(across['chamfer_px'], 2)}",
+            f"{_number(means['log_E']['mean'], 2)} ({means['log_E']['count']})",
+            f"{_number(means['log_rho']['mean'], 2)} ({means['log_rho']['count']})",
+            _number(means["seconds"], 0),
+            _number(means["memory"] / 1e9, 2),
+        )
+    for name, (inside, across) in PAPER.items():
+        pairs = [f"{a:g} / {b:g}" for a, b in zip(inside, across, strict=True)]
+        lines += _row(name, *pairs, "", "", "", "")
+    lines += [
+        "",
+        "Means over flowers; of materials over true parts that the fit says it knows (their number).",
+        "",
+    ]
+    lines += ["## The full method, flower by flower", ""]
+    lines += _row(*measures, "segments", "adjusted Rand index", "stages [s]", "fit [s]", head=True)
+    for entry in found["flowers"]:
+        if entry["variant"] != "full":
+            continue
+        if "error" in entry:
+            lines += _row(entry["species"], entry["error"], "", "", "", "", "", "")
+            continue
+        pairs = [
+            f"{_number(entry['in'][key], digits)} / {_number(entry['cross'][key], digits)}"
+            for key, digits in zip(METRICS, (2, 3, 2), strict=True)
+        ]
+        stages = sum(stage["seconds"] for stage in entry["stages"].values())
+        lines += _row(
+            entry["species"], *pairs, str(entry["segments"]), _number(entry["adjusted_rand_index"], 2),
+            _number(stages, 0), _number(entry["seconds"], 0),
+        )  # fmt: skip
+    return "\n".join([*lines, ""])
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _row(*cells: str, head: bool = False) -> list[str]:
+    line = "| " + " | ".join(cells) + " |"
+    return [line, "| " + " | ".join("---" for _ in cells) + " |"] if head else [line]

@@ -1,0 +1,1 @@
+"""What others do, on this simulator: what a benchmark stands beside."""

@@ -1,0 +1,157 @@
+"""Predictions of an image capture as pictures: every sequence simulated, drawn and held against its video."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from mphygs.capture.format import Capture
+from mphygs.capture.markers import Markers
+from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.views import SequenceViews, rest_views_of, sequence_views_of
+from mphygs.compare.drawn import Drawn
+from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors, still
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.image_capture import Placement, placement_of
+from mphygs.fit.stage_files import StageFolder, particles_of
+from mphygs.model.belief import Belief
+from mphygs.render.image_metrics import ImageMetrics
+from mphygs.render.splatting import splat
+from mphygs.scene.ply import read_gaussians
+from mphygs.simulate.prediction import Prediction, Predictor
+
+
+@dataclass(eq=False)
+class Pictured:
+    """An experiment on an image capture, with what it takes to draw it.
+
+    source: the capture as it was recorded; drawn: Gaussians and their carriers; stages: folder of its stages.
+    """
+
+    experiment: Experiment
+    source: Capture
+    stages: Path
+    drawn: Drawn
+    _predictors: dict[str, Predictor] = field(default_factory=dict)
+    _views: dict[str, SequenceViews] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, experiment: Experiment, source: Capture, stages: Path) -> Pictured:
+        """Raises CaptureError where the Gaussians or the particles of the stages cannot be used."""
+        files = StageFolder(stages)
+        own = files.gaussians if files.gaussians.is_file() else source.gaussians
+        gaussians = read_gaussians(own or files.gaussians)
+        segments = len(list(files.parts.glob("*.ply")))
+        particles = particles_of(stages, segments)
+        return cls(experiment, source, stages, Drawn.of(gaussians, particles.position[particles.inside]))
+
+    def names(self, wanted: Sequence[str] = ()) -> list[str]:
+        """Sequences with a video and with what holds them known, all or those wanted among them."""
+        found = [r.name for r in self.source.sequences if r.views is not None]
+        held = [name for name in found if self.experiment.capture.sequence(name).held]
+        return [name for name in held if not wanted or name in wanted]
+
+    def views(self, name: str) -> SequenceViews:
+        """The videos of a sequence."""
+        if name not in self._views:
+            rest = rest_views_of(self.source) if self.source.views is not None else None
+            self._views[name] = sequence_views_of(self.source.sequence(name), rest)
+        return self._views[name]
+
+    def placement(self, name: str) -> Placement:
+        """Where a sequence's frame 0 has the object."""
+        return placement_of(self.source.sequence(name), self.stages)
+
+    def predictor(self, name: str) -> Predictor:
+        """The simulator of a sequence with the carriers as its markers."""
+        if name not in self._predictors:
+            recording = self.experiment.capture.sequence(name)
+            at = self.drawn.carriers
+            unmeasured = Markers(np.full((recording.frames, len(at), 3), np.nan), at, 1.0)
+            settings = self.experiment.settings
+            bodies = [p.body for p in self._alike(recording)]
+            self._predictors[name] = Predictor(
+                self.experiment.capture, replace(recording, markers=unmeasured), settings,
+                body=bodies[0] if bodies else None,
+            )  # fmt: skip
+        return self._predictors[name]
+
+    def _alike(self, recording: Recording) -> list[Predictor]:
+        """Simulators there are already with the same holds."""
+        boxes = b"".join(np.asarray(hold.box, float).tobytes() for hold in recording.held)
+        problem = self.experiment.problems.get(self.experiment.settings.spacing)
+        known = {} if problem is None else problem.predictors
+        both = [*known.values(), *self._predictors.values()]
+        return [
+            p
+            for p in both
+            if b"".join(np.asarray(hold.box, float).tobytes() for hold in p.recording.held) == boxes
+        ]
+
+    def moved(self, name: str, belief: Belief, *, last: int, keys: Sequence[str] = ()) -> Prediction:
+        """Positions of the carriers in frames 0..last-1, in the object's frame, and their derivatives."""
+        return self.predictor(name).predict(belief, last=last, keys=keys)
+
+    def shown(self, name: str, prediction: Prediction, frames: Sequence[int]) -> Iterator[Shown]:
+        """Predicted pictures of frames, and what the cameras saw."""
+        views, placement = self.views(name), self.placement(name)
+        for frame in frames:
+            positions = torch.from_numpy(placement.to_world(prediction.position[frame]))
+            photographs = views.read(frame)
+            with torch.no_grad():
+                gaussians = self.drawn.at(positions)
+                pictures = [splat(gaussians, photograph.camera) for photograph in photographs]
+            yield Shown(frame, pictures, photographs)
+
+    def ranges(self, name: str) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Frames of a sequence that were fitted, and those kept for prediction."""
+        experiment = self.experiment
+        recording = experiment.capture.sequence(name)
+        fit = experiment.fitted.get(name, (0, 0))
+        if fit[1] > fit[0] or recording.fit[1] <= recording.fit[0]:
+            return fit, recording.predict
+        used = [r for r in (recording.fit, recording.predict) if r[1] > r[0]]
+        return fit, (min(a for a, _ in used), max(b for _, b in used))
+
+    def still(self, belief: Belief, name: str, *, count: int = 4) -> bytes:
+        """A PNG of a few frames of a sequence, the last one among them, over their predictions."""
+        frames = frames_of(self.ranges(name))
+        chosen = [frames[k] for k in np.linspace(0, len(frames) - 1, count + 1).round().astype(int)[1:]]
+        prediction = self.moved(name, belief, last=frames[-1] + 1)
+        return still(list(self.shown(name, prediction, chosen)))
+
+    def errors(
+        self,
+        belief: Belief,
+        *,
+        names: Sequence[str] = (),
+        films: Path | None = None,
+        report: Callable[[str], None] | None = None,
+    ) -> dict[str, dict[str, dict[str, float] | None]]:
+        """Errors of the predicted pictures by sequence and range; films: folder for a video of each."""
+        out = {}
+        for name in self.names(names):
+            fit, predict = self.ranges(name)
+            frames = frames_of((fit, predict))
+            if not frames:
+                continue
+            if report:
+                report(f"drawing {name}")
+            known = self.experiment.with_release(belief, name, self.experiment.settings.spacing)
+            prediction = self.moved(name, known, last=frames[-1] + 1)
+            found: dict[int, ImageMetrics] = {}
+            with ExitStack() as stack:
+                film = None
+                if films is not None:
+                    film = stack.enter_context(Film(films / f"{name}.mp4", self.source.sequence(name).fps))
+                for shown in self.shown(name, prediction, frames):
+                    found[shown.frame] = frame_metrics(shown)
+                    if film is not None:
+                        film.add(shown)
+            out[name] = range_errors(found, fit, predict)
+        return out

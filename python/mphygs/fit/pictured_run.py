@@ -1,0 +1,81 @@
+"""The fit of an image capture: to the tracks, then to the pictures, with parts of the method left out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+from mphygs.fit.checkpointed import fit_run
+from mphygs.fit.determined import information_of
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.grouping import with_grouping
+from mphygs.fit.levenberg_marquardt import Solution, covariance
+from mphygs.fit.of_run import pictured_of
+from mphygs.fit.run import Run, StageRecord
+from mphygs.fit.stage_files import particles_of
+from mphygs.model.belief import Belief
+
+# What may be left out, as in the paper's ablations.
+PARTS = ("l2d", "ldt", "lg", "windows", "prestress")
+PICTURES = "pictures"
+
+
+class Reporter(Protocol):
+    """Where a fit reports."""
+
+    progress: Callable[[float, str], None]
+    say: Callable[[str], None]
+
+
+def pictured_belief(belief: Belief, stages: Path, *, without: Sequence[str], homogeneous: bool) -> Belief:
+    """The belief that the fit of an image capture starts from. Raises CaptureError for bad particles."""
+    if "prestress" in without:
+        belief = replace(belief, prestress="off")
+    if homogeneous or "lg" in without or len(belief.parts) < 2:
+        return belief
+    return with_grouping(belief, belief.parts, particles_of(stages, len(belief.parts)))
+
+
+def fit_pictured(run: Run, experiment: Experiment, console: Reporter) -> Run:
+    """The stages that a run has not had yet, those on tracks and the one on pictures.
+
+    Raises SimulationError where the fit cannot start.
+    """
+    without = tuple(name.strip() for name in str(run.options.get("without") or "").split(",") if name.strip())
+    given = {name: str(run.options[name]) for name in ("optimiser", "schedule")}
+    run = fit_run(run, experiment, **given, windows="windows" not in without, progress=console.progress)
+    if "l2d" in without or run.history[-1].name == PICTURES:
+        return run
+    return _to_pictures(run, experiment, console, distance="ldt" not in without)
+
+
+def _to_pictures(run: Run, experiment: Experiment, console: Reporter, *, distance: bool) -> Run:
+    # torch takes seconds to import
+    from mphygs.fit.image_fit import fit_to_pictures, fit_to_pictures_by_adam
+    from mphygs.render.video_loss import VideoWeights
+
+    began = time.monotonic()
+    problem = experiment.problem(run.settings.spacing)
+    evaluation = problem.evaluate(run.belief)
+    solution = Solution(run.belief, evaluation, (evaluation.cost,), True, "kept")
+    weights = VideoWeights() if distance else VideoWeights(distance=0.0)
+    pictured = pictured_of(run, experiment)
+    if run.options["schedule"] == "paper":
+        found = fit_to_pictures_by_adam(pictured, run.belief, weights=weights, report=console.say)
+    else:
+        found = fit_to_pictures(pictured, solution, weights=weights, report=console.say)
+    if found.belief is not run.belief:
+        evaluation = problem.evaluate(found.belief)
+    kept = len(found.history) > 1
+    reason = "lowers L_2D" if kept else "nothing lowers L_2D on frames that were left out as well"
+    record = StageRecord(
+        PICTURES, run.settings.spacing, found.history, kept, reason, time.monotonic() - began
+    )
+    return replace(
+        run.after(record, found.belief),
+        covariance=covariance(evaluation),
+        information=information_of(evaluation, len(found.belief.free)),
+    )

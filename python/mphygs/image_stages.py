@@ -1,0 +1,120 @@
+"""The stages of an image capture that are not there yet, run one after the other by their own commands."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mphygs.capture.format import Capture
+from mphygs.capture.record import Sequence as Recording
+from mphygs.command import DONE, Console
+from mphygs.fit.image_capture import is_pictured
+from mphygs.fit.stage_files import StageFolder
+from mphygs.stages import NOTE
+from mphygs.stages import STAGES as FOLDER
+
+SECONDS = "seconds.json"
+
+
+class StageError(ValueError):
+    """A stage that failed: it has said why."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage to run. command: its module; arguments: beyond capture and folder; file: what it leaves."""
+
+    name: str
+    command: str
+    arguments: tuple[str, ...]
+    file: Path
+
+
+def has_stages(capture: Capture) -> bool:
+    """Whether anything of a capture has to be found in pictures first."""
+    return is_pictured(capture) or any(_tracked(r) for r in capture.sequences)
+
+
+def missing_stages(capture: Capture, folder: Path) -> list[Stage]:
+    """The stages whose files are not in the folder, in the order in which they are to be run."""
+    files = StageFolder(folder)
+    found = []
+    if is_pictured(capture):
+        if capture.gaussians is None:
+            found.append(Stage("reconstruct", "reconstruct", (), files.gaussians))
+        found.append(Stage("segment", "segment", (), files.particles))
+    for recording in capture.sequences:
+        if not _tracked(recording):
+            continue
+        name = recording.name
+        own = ("--sequences", name)
+        found.append(Stage(f"track {name}", "track", own, files.tracks(name)))
+        if not recording.held:
+            found.append(Stage(f"contact {name}", "contact", own, files.hold(name)))
+        if not files.tracks(name).exists():
+            found.insert(
+                -1 if recording.held else -2, Stage(f"register {name}", "register", own, files.pose(name))
+            )
+    return [stage for stage in found if not _done(stage)]
+
+
+def _done(stage: Stage) -> bool:
+    """Whether a stage's file is there and was not left half made."""
+    note = stage.file.parent / NOTE
+    if not stage.file.is_file():
+        return False
+    try:
+        return not (note.is_file() and json.loads(note.read_text(encoding="utf-8")).get("unfinished"))
+    except (ValueError, AttributeError):
+        return True
+
+
+def _tracked(recording: Recording) -> bool:
+    """Whether a sequence has to be followed in its video."""
+    return recording.views is not None and recording.markers is None
+
+
+def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dict[str, float]:
+    """Run what is missing and return the seconds that every stage has taken so far, by its name.
+
+    path: of the capture; run: folder that has, or gets, the folder of the stages. Raises StageError, one
+    line, where a stage failed; what was done before is kept.
+    """
+    folder = run / FOLDER
+    seconds = kept_seconds(folder)
+    stages = missing_stages(capture, folder)
+    for number, stage in enumerate(stages):
+        if _done(stage):
+            continue
+        console.say(f"stage {number + 1} of {len(stages)}: {stage.name}")
+        began = time.monotonic()
+        module = importlib.import_module(f"mphygs.{stage.command}")
+        code = module.main([str(path), "--out", str(run), *stage.arguments])
+        if code != DONE or not stage.file.exists():
+            raise StageError(
+                f"{stage.file}: was not made by mphygs {stage.command}; expected it, or your own file"
+            )
+        seconds[stage.name] = seconds.get(stage.name, 0.0) + time.monotonic() - began
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / SECONDS).write_text(json.dumps(seconds, indent=1) + "\n")
+    return seconds
+
+
+def kept_seconds(folder: Path) -> dict[str, float]:
+    """Seconds of the stages that were run, by name."""
+    path = folder / SECONDS
+    if not path.is_file():
+        return {}
+    try:
+        return {str(name): float(value) for name, value in json.loads(path.read_text()).items()}
+    except (json.JSONDecodeError, AttributeError, TypeError, ValueError):
+        return {}
+
+
+def names_of(stages: Sequence[Stage]) -> str:
+    """The stages in words."""
+    return ", ".join(stage.name for stage in stages)

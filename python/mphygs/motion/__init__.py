@@ -1,0 +1,1 @@
+"""What the videos say moved: registration to frame 0, tracks, the motion of the contact."""

@@ -1,0 +1,253 @@
+"""The stages that follow the object through videos: register, track, contact, each made once a sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from mphygs.capture.errors import fault
+from mphygs.capture.format import Capture, load_capture
+from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.rotation import quaternion_from_matrix
+from mphygs.capture.views import Photograph, RestViews, SequenceViews, load_rest_views, sequence_views_of
+from mphygs.command import OptionError, names
+from mphygs.motion.contact import coarse_contact
+from mphygs.motion.grip import Grip, find_grip
+from mphygs.motion.registration import Registration, register
+from mphygs.motion.stage_files import (
+    GAUSSIANS,
+    STAGES,
+    ContactHold,
+    MotionStage,
+    Registered,
+    Tracks,
+    digest_of_files,
+    read_hold,
+    read_registered,
+    read_tracks,
+)
+from mphygs.motion.track_choice import chosen_gaussians, tracks_of
+from mphygs.motion.track_noise import variance_of_tracks
+from mphygs.motion.tracking import Followed, TrackingRule, aligner_of, follow
+from mphygs.scene.agreement import check_first_frame
+from mphygs.scene.gaussians import Gaussians
+from mphygs.scene.ply import read_gaussians
+
+Report = Callable[[float, str], None]
+Source = Literal["own", "capture", "made", "new"]
+POSE, TRACKS, HOLD = "pose.npz", "tracks.npz", "hold.npz"
+JACKKNIFED = 6  # frames in which cameras are left out
+_KEPT_EVERY = 5  # frames
+# Of the work of tracking, the share that is done when the last frame is.
+_FOLLOWING = 0.85
+
+
+@dataclass(frozen=True, eq=False)
+class VideoRun:
+    """A capture, the run folder in which its stages stand, and the Gaussians at rest.
+
+    longest: pictures larger along a side are used at a half, a third, ... of their size [px].
+    """
+
+    capture: Capture
+    folder: Path
+    gaussians_file: Path
+    gaussians: Gaussians
+    rest: RestViews | None
+    longest: int
+
+    @classmethod
+    def open(cls, capture: Path, folder: Path, gaussians: Path | None, longest: int) -> VideoRun:
+        """gaussians: a file of one's own; None for that of the stage `rest`, or of the capture.
+
+        Raises CaptureError or OptionError, one line, where there is none or it cannot be used.
+        """
+        if longest < 16:
+            raise OptionError(f"--longest: got {longest}; expected at least 16")
+        loaded = load_capture(capture)
+        file = gaussians or folder / GAUSSIANS
+        if gaussians is None and not file.is_file() and loaded.gaussians is not None:
+            file = loaded.gaussians
+        if not file.is_file():
+            raise OptionError(
+                f"{file}: is not there; expected Gaussians of the object at rest, by mphygs reconstruct "
+                f"{capture} --out {folder}, or a file of your own by --gaussians"
+            )
+        rest = load_rest_views(loaded.views) if loaded.views is not None else None
+        return cls(loaded, folder, file, read_gaussians(file), rest, longest)
+
+    def recordings(self, wanted: str | None) -> list[Recording]:
+        """The sequences of a comma-separated list; None for all that have videos."""
+        if wanted is None:
+            found = [r for r in self.capture.sequences if r.views is not None]
+            if not found:
+                raise fault(str(self.capture.folder / "capture.json"), "has no sequence with views", "video")
+            return found
+        try:
+            return [self.capture.sequence(name) for name in names(wanted)]
+        except KeyError as error:
+            raise OptionError(f"--sequences: {error.args[0]}") from error
+
+    def views(self, recording: Recording) -> SequenceViews:
+        """The videos of a sequence."""
+        return sequence_views_of(recording, self.rest)
+
+    def read(self, views: SequenceViews, frame: int) -> list[Photograph]:
+        """The pictures of all cameras in one frame, no larger than `longest`."""
+        return [shrunk(photograph, self.longest) for photograph in views.read(frame)]
+
+    def stage(self, kind: str, recording: Recording, made_of: Mapping[str, object]) -> MotionStage:
+        """The folder of a stage of a sequence, made of the Gaussians, the videos and `made_of`."""
+        sources = {"gaussians": digest_of_files(self.gaussians_file), "longest": self.longest}
+        if recording.views is not None:
+            sources["views"] = digest_of_files(recording.views)
+        return MotionStage(self.folder / STAGES / kind / recording.name, {**sources, **made_of})
+
+
+def register_stage(
+    run: VideoRun, recording: Recording, *, rule: TrackingRule
+) -> tuple[Registered, Registration | None]:
+    """The object in frame 0, and how it was found; None for the latter where the stage was there.
+
+    Raises CaptureError where a camera's pose is wrong, or the pictures are not of the object.
+    """
+    stage = run.stage("register", recording, {"rule": asdict(rule)})
+    if stage.holds(POSE):
+        return read_registered(stage.folder / POSE, gaussians=run.gaussians.count), None
+    views = run.views(recording)
+    rest_cameras = {}
+    if run.rest is not None:
+        at_rest = [shrunk(photograph, run.longest) for photograph in run.rest.read()]
+        where = f'sequence "{recording.name}"'
+        check_first_frame(at_rest, views.read(0), views.correspondences, where=where)
+        rest_cameras = {name: view.camera for name, view in run.rest.views.items()}
+    found = register(
+        run.gaussians,
+        run.read(views, 0),
+        views.correspondences,
+        rest_cameras=rest_cameras,
+        first_cameras={name: views.views[name, 0].camera for name in views.cameras},
+        rule=rule,
+    )
+    arrays = {
+        "quaternion": quaternion_from_matrix(found.motion.rotation),
+        "position": found.motion.shift,
+        "refined": found.refined,
+    }
+    stage.write(POSE, arrays)
+    return Registered(**arrays), found
+
+
+def track_stage(
+    run: VideoRun, recording: Recording, *, rule: TrackingRule, count: int, report: Report
+) -> tuple[Tracks, Followed | None]:
+    """Tracks of a sequence, and what they were made from; None for the latter where the stage was there.
+
+    count: most tracks. Makes the registration where it is missing. A run that was broken off goes on.
+    """
+    stage = run.stage("track", recording, {"rule": asdict(rule), "tracks": count})
+    path = stage.folder / TRACKS
+    if not stage.is_given(TRACKS):
+        report(0.0, f"{recording.name}: registering")
+        registered, _ = register_stage(run, recording, rule=rule)
+        pose = run.folder / STAGES / "register" / recording.name / POSE
+        stage = stage.of(pose=digest_of_files(pose))
+    if stage.holds(TRACKS):
+        return read_tracks(path, frames=recording.frames, gaussians=run.gaussians.count), None
+    views = run.views(recording)
+    aligner = aligner_of(run.gaussians, rule)
+    first = aligner.graph.pose_of(registered.refined)
+    aligner = aligner.matched(run.read(views, 0), first)
+
+    def read(frame: int) -> list[Photograph]:
+        return run.read(views, frame)
+
+    def keep(followed: Followed) -> None:
+        if followed.frames % _KEPT_EVERY == 0 or followed.frames == recording.frames:
+            stage.keep_partial(vars(followed))
+            share = _FOLLOWING * followed.frames / recording.frames
+            report(share, f"{recording.name}: frame {followed.frames} of {recording.frames}")
+
+    nodes, compared = len(aligner.graph.nodes), len(aligner.chosen)
+    kept = stage.partial(
+        {"position": (None, nodes, 3), "rotation": (None, nodes, 3, 3), "cameras": (None, compared),
+         "difference": (None,)}
+    )  # fmt: skip
+    followed = follow(
+        aligner,
+        read,
+        recording.frames,
+        first,
+        rule=rule,
+        done=None if kept is None else Followed(**kept),
+        report=keep,
+    )
+    chosen = chosen_gaussians(aligner, followed, count)
+    frames = np.unique(
+        np.linspace(min(1, recording.frames - 1), recording.frames - 1, JACKKNIFED).astype(int)
+    )
+
+    def say(done: int) -> None:
+        share = _FOLLOWING + (1 - _FOLLOWING) * done / len(frames)
+        report(share, f"{recording.name}: leaving cameras out, {done} of {len(frames)} frames")
+
+    variance = variance_of_tracks(aligner, read, followed, chosen, frames=frames.tolist(), report=say)
+    tracks = tracks_of(aligner, followed, chosen, variance)
+    stage.write(TRACKS, tracks.arrays())
+    stage.drop_partial()
+    return tracks, followed
+
+
+def contact_stage(
+    run: VideoRun,
+    recording: Recording,
+    *,
+    rule: TrackingRule,
+    count: int,
+    radius: float | None,
+    estimate: bool,
+    report: Report,
+) -> tuple[ContactHold, Source, Grip | None]:
+    """The motion of what is held, where it comes from, and how it was found.
+
+    radius: of what is held [m], None to find it; estimate: also where the capture gives a hold with poses.
+    Raises CaptureError where nothing says where the object is held.
+    """
+    stage = run.stage("contact", recording, {})
+    path = stage.folder / HOLD
+    if stage.is_given(HOLD):
+        return read_hold(path, frames=recording.frames), "own", None
+    given = [] if estimate else [hold for hold in recording.held if not hold.is_fixed]
+    if given:
+        hold = given[0]
+        arrays = {"position": hold.position, "quaternion": hold.quaternion, "box": hold.box}
+        stage.of(capture="hold").write(HOLD, arrays)
+        return ContactHold(**arrays), "capture", None
+    views = run.views(recording)
+    if not views.contact:
+        raise fault(
+            f'sequence "{recording.name}"',
+            "says not where the object is held",
+            "a hold with poses in capture.json, or contact.json beside the videos",
+        )
+    tracks, _ = track_stage(run, recording, rule=rule, count=count, report=report)
+    stage = stage.of(
+        tracks=digest_of_files(run.folder / STAGES / "track" / recording.name / TRACKS), radius=radius
+    )
+    if stage.holds(HOLD):
+        return read_hold(path, frames=recording.frames), "made", None
+    cameras = {name: views.views[name, 0].camera for name in views.cameras}
+    coarse = coarse_contact(cameras, views.contact, recording.frames)
+    grip = find_grip(tracks.rest, tracks.position, coarse, radius=radius)
+    arrays = {"position": grip.motion.position, "quaternion": grip.motion.quaternion, "box": grip.box}
+    stage.write(HOLD, arrays)
+    return ContactHold(**arrays), "new", grip
+
+
+def shrunk(photograph: Photograph, longest: int) -> Photograph:
+    """A photograph at a half, a third, ... of its size, so that no side is longer than `longest` [px]."""
+    return photograph.shrunk(-(-max(photograph.mask.shape) // longest))

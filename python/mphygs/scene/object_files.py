@@ -1,0 +1,130 @@
+"""What later stages read of the object: features.npz, particles.npz and the meshes of its parts, checked."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.meshes import Part, read_mesh, write_mesh
+from mphygs.scene.soft_boundary import Particles
+
+FEATURES, PARTICLES, PARTS = "features.npz", "particles.npz", "parts"
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianFeatures:
+    """Features of K Gaussians. appearance: (K, D) zD; affinity: (K, A) zA; source: what they came from."""
+
+    appearance: np.ndarray
+    affinity: np.ndarray
+    source: str
+
+
+def write_features(path: Path, features: GaussianFeatures) -> None:
+    """Write features.npz."""
+    np.savez(
+        path,
+        appearance=features.appearance.astype(np.float32),
+        affinity=features.affinity.astype(np.float32),
+        source=np.array(features.source),
+    )
+
+
+def read_features(path: Path, count: int) -> GaussianFeatures:
+    """The features.npz at `path` of `count` Gaussians. Raises CaptureError where it cannot be used."""
+    arrays = _arrays(path, ("appearance", "affinity", "source"))
+    appearance = _numbers(path, arrays, "appearance", (count, None))
+    affinity = _numbers(path, arrays, "affinity", (count, None))
+    return GaussianFeatures(appearance.astype(np.float32), affinity.astype(np.float32), str(arrays["source"]))
+
+
+def write_particles(path: Path, particles: Particles) -> None:
+    """Write particles.npz."""
+    np.savez(
+        path,
+        position=particles.position,
+        label=particles.label.astype(np.int32),
+        signed_distance=particles.signed_distance,
+        spacing=np.array(particles.spacing),
+        appearance=particles.appearance.astype(np.float32),
+    )
+
+
+def read_particles(path: Path) -> Particles:
+    """The particles.npz at `path`. Raises CaptureError where it cannot be used."""
+    arrays = _arrays(path, ("position", "label", "signed_distance", "spacing", "appearance"))
+    position = _numbers(path, arrays, "position", (None, 3))
+    count = len(position)
+    label = _numbers(path, arrays, "label", (count,))
+    if not (label == np.round(label)).all() or label.min(initial=0) < 0:
+        raise fault(f"{path}: label", "holds what is no segment's number", "whole numbers from 0 on")
+    names = np.unique(label)
+    if len(names) != int(label.max(initial=-1)) + 1:
+        raise fault(f"{path}: label", f"has {len(names)} segments up to number {int(label.max())}", "no gaps")
+    spacing = float(_numbers(path, arrays, "spacing", ()))
+    if not spacing > 0:
+        raise fault(f"{path}: spacing", f"is {spacing:g} m", "a length above zero")
+    return Particles(
+        position=position,
+        signed_distance=_numbers(path, arrays, "signed_distance", (count,)),
+        spacing=spacing,
+        label=label.astype(np.int32),
+        appearance=_numbers(path, arrays, "appearance", (count, None)).astype(np.float32),
+    )
+
+
+def segment_name(number: int) -> str:
+    """How the segment `number` is called."""
+    return f"segment-{number:02d}"
+
+
+def write_parts(folder: Path, parts: list[Part]) -> None:
+    """Write one mesh a part; meshes of other parts that stand there are taken away."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in folder.glob("*.ply"):
+        path.unlink()
+    for part in parts:
+        write_mesh(folder / f"{part.name}.ply", part.vertices, part.faces)
+
+
+def read_parts(folder: Path) -> list[Part]:
+    """The parts in `folder`, in the order of their names. Raises CaptureError where there are none, or one is
+    no closed mesh."""
+    paths = sorted(folder.glob("*.ply"))
+    if not paths:
+        raise fault(str(folder), "holds no .ply", "one closed mesh a part")
+    return [Part(path.stem, *read_mesh(path)) for path in paths]
+
+
+def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    expected = f"an .npz with {', '.join(names)}"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            for name in names:
+                if name not in stored:
+                    raise fault(str(path), f'has no "{name}"', expected)
+            return {name: stored[name] for name in names}
+    except CaptureError:
+        raise
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise fault(str(path), f"cannot be read ({error})", expected) from error
+
+
+def _numbers(
+    path: Path, arrays: dict[str, np.ndarray], name: str, shape: tuple[int | None, ...]
+) -> np.ndarray:
+    values = arrays[name]
+    fits = len(values.shape) == len(shape) and all(
+        want is None or have == want for have, want in zip(values.shape, shape, strict=True)
+    )
+    if not fits or values.dtype.kind not in "fiu":
+        wanted = str(tuple("any" if n is None else n for n in shape)).replace("'", "")
+        raise fault(f"{path}: {name}", f"is {values.dtype} of shape {values.shape}", f"numbers, {wanted}")
+    values = values.astype(np.float64)
+    if not np.isfinite(values).all():
+        raise fault(f"{path}: {name}", "holds values that are not finite", "numbers")
+    return values
