@@ -19,6 +19,8 @@ from mphygs.simulate.scope import in_scope
 
 # Frames of one block of the bootstrap on unseen frames: errors within one swing hang together.
 BLOCK_FRAMES = 8
+# Of chi^2 on the fitted frames that an effect leaves at most, to be kept without a clear gain on unseen ones.
+MOSTLY_EXPLAINED = 0.25
 STRENGTHS = (0.5, 1.0, 2.0)
 # Of the substep without the effect: no refit starts with less.
 SHORTEST_SUBSTEP = 0.3
@@ -43,8 +45,16 @@ class Refit:
     @property
     def pays(self) -> bool:
         """Whether the effect lowers the error on frames that were not fitted (on fitted ones, where there
-        are no others)."""
-        return self.gain.accepted if self.gain is not None else self.actual_drop > 20.0
+        are no others).
+
+        Where the model lacks more than this effect, the rest of the misfit comes and goes over the unseen
+        frames, and no interval of a few swings excludes zero: there the gain has to be positive, and most of
+        the misfit of the fitted frames explained.
+        """
+        if self.gain is None:
+            return self.actual_drop > 20.0
+        left = self.solution.evaluation.chi_square / (self.solution.evaluation.chi_square + self.actual_drop)
+        return self.gain.accepted or self.gain.gain > 0.0 and left < MOSTLY_EXPLAINED
 
     @property
     def surprising(self) -> bool:
