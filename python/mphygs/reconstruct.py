@@ -94,8 +94,8 @@ def rest_stage(
 ) -> tuple[Stage, str, Gaussians]:
     """The stage, "made", "own" or "new", and its Gaussians.
 
-    any_options: Gaussians that were made with other options are taken as well. Raises CaptureError where the
-    capture or a user's own file cannot be used.
+    any_options: Gaussians that were made with other options, of the same views, are taken as well. Raises
+    CaptureError where the capture or a user's own file cannot be used.
     """
     if capture.views is None and capture.gaussians is None:
         raise fault(str(capture.folder / "capture.json"), "gives the object as parts", "object.views")
@@ -109,7 +109,7 @@ def rest_stage(
     made_of = {name: getattr(options, name) for name in names} | {"source": source}
     stage = Stage.of(options.out, STAGE, FILES, made_of)
     state = stage.state()
-    if state == "missing" and any_options and stage.complete():
+    if state == "missing" and any_options and stage.complete("source"):
         state = "made"
     if state != "missing":
         return stage, state, read_gaussians(stage.path(FILES[0]))

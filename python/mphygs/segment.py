@@ -41,7 +41,7 @@ from mphygs.scene.object_files import (
 )
 from mphygs.scene.segments import SegmentSettings
 from mphygs.scene.soft_boundary import Particles
-from mphygs.stages import Stage, digest_of
+from mphygs.stages import Stage, digest_of, folder_digest
 
 PROGRAM = "mphygs segment"
 PICTURE = "picture.png"
@@ -93,10 +93,13 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
     rest = ReconstructOptions(capture=options.capture, out=options.out, longest=options.longest)
     rest_folder, _, gaussians = rest_stage(capture, rest, console, any_options=True)
     photographs = _photographs(capture, gaussians, options)
+    views = None if capture.views is None else folder_digest(capture.views)
     console.begin()
-    first, features = features_stage(options, tools, rest_folder, gaussians, photographs, console)
+    first, features = features_stage(
+        options, tools, rest_folder, views, gaussians, photographs, console
+    )
     second, particles, parts = object_stage(
-        options, settings, (rest_folder, first), gaussians, features, photographs, console
+        options, settings, (rest_folder, first), views, gaussians, features, photographs, console
     )
     picture = second.folder / PICTURE
     write_image(picture, object_picture(gaussians, features, particles, photographs))
@@ -123,7 +126,7 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
         f"{count.sum()} particles {1e3 * particles.spacing:.2f} mm apart, {around} round them",
         *(
             f"  {p.name}: {1e6 * p.volume:8.3f} cm^3, {n} particles"
-            for p, n in zip(parts, count, strict=False)
+            for p, n in zip(parts, count, strict=True)
         ),
         f"picture: {picture}",
     ]
@@ -134,13 +137,20 @@ def features_stage(
     options: SegmentOptions,
     tools: Tools | None,
     rest: Stage,
+    views: str | None,
     gaussians: Gaussians,
     photographs: Sequence[Photograph],
     console: Console,
 ) -> tuple[Stage, GaussianFeatures]:
-    """The stage and its features, made unless they are there; tools: loaded here where None."""
+    """The stage and its features, made unless they are there.
+
+    tools: loaded here where None; views: digest of the photographs' folder.
+    """
     names = ("features", "masks", "longest", "seed")
-    made_of = {name: getattr(options, name) for name in names} | {"gaussians": _digest(rest, "gaussians.ply")}
+    made_of = {name: getattr(options, name) for name in names} | {
+        "gaussians": _digest(rest, "gaussians.ply"),
+        "views": views,
+    }
     stage = Stage.of(options.out, "features", (FEATURES,), made_of)
     if stage.state() == "missing":
         extractor, grouper = tools or (extractor_of(options.features), grouper_of(options.masks))
@@ -162,6 +172,7 @@ def object_stage(
     options: SegmentOptions,
     settings: ObjectSettings,
     before: tuple[Stage, Stage],
+    views: str | None,
     gaussians: Gaussians,
     features: GaussianFeatures,
     photographs: Sequence[Photograph],
@@ -172,6 +183,7 @@ def object_stage(
     made_of = {name: getattr(options, name) for name in names} | {
         "gaussians": _digest(before[0], "gaussians.ply"),
         "features": _digest(before[1], FEATURES),
+        "views": views,
     }
     stage = Stage.of(options.out, "object", (PARTICLES, f"{PARTS}/*.ply"), made_of)
     if stage.state() == "missing":

@@ -61,10 +61,13 @@ class Stage:
             )
         return "own"
 
-    def complete(self) -> bool:
-        """Whether all files are there and finished, whatever they were made of."""
+    def complete(self, *same: str) -> bool:
+        """Whether all files are there and finished, and `same` of what they were made of is as now."""
         note = self._note()
-        return not (note and note.get("unfinished")) and all(any(self.folder.glob(f)) for f in self.files)
+        if (note and note.get("unfinished")) or not all(any(self.folder.glob(f)) for f in self.files):
+            return False
+        before = (note or {}).get("made_of") or {}
+        return all(before.get(name) == self.made_of[name] for name in same)
 
     def begin(self) -> None:
         """Make the folder, and forget what was made in it before."""

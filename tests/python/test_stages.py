@@ -29,6 +29,8 @@ def test_what_is_made_is_kept_for_the_same_options(tmp_path: Path) -> None:
     make(first)
     assert first.state() == "made" and stage(tmp_path, seed=0).state() == "made"
     assert stage(tmp_path, seed=1).state() == "missing" and stage(tmp_path, seed=1).complete()
+    assert stage(tmp_path, seed=0, more=2).complete("seed")
+    assert not stage(tmp_path, seed=1).complete("seed")
     first.path("parts/two.ply").unlink()
     assert first.state() == "missing", "a file that was made is gone"
 

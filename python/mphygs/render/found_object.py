@@ -16,12 +16,13 @@ from mphygs.scene.object_files import GaussianFeatures, segment_name
 from mphygs.scene.part_meshes import segment_meshes
 from mphygs.scene.segments import FeatureBlock, SegmentSettings, find_segments
 from mphygs.scene.soft_boundary import Particles, lattice_particles
-from mphygs.scene.solid import SeenDepth, silhouette_distance, solid_behind
+from mphygs.scene.solid import SeenDepth, signed_distance, silhouette_distance, solid_behind
 from mphygs.scene.thickness import local_thickness
 
 Report = Callable[[float, str], None]
 # Voxels of the lattice that the solid is found on: for each particle in the object, the least and the most.
-_VOXELS_A_PARTICLE, _VOXELS = 100, (5e5, 4e6)
+_VOXELS_A_PARTICLE, _VOXELS = 100, (2.5e5, 4e6)
+_FAR = 0.1  # of the object's size, beside it, from which a Gaussian floats
 _LEAST_OPACITY = 0.05  # of Gaussians that say where the object is
 _NEAREST = 4  # Gaussians that a particle has its features from, for segments
 
@@ -72,9 +73,9 @@ def found_object(
         for p, depth in zip(photographs, seen_depths(gaussians, photographs), strict=True)
     ]
     clear = gaussians.opacities.detach().numpy() >= _LEAST_OPACITY
-    places = gaussians.positions.detach().double().numpy()[clear]
-    if len(places) == 0:
-        raise ValueError("gaussians: none is opaque; expected an object that can be seen")
+    if clear.sum() < _NEAREST:
+        raise ValueError(f"gaussians: {clear.sum()} are opaque; expected an object that can be seen")
+    places = _on_object(views, gaussians.positions.detach().double().numpy()[clear])
     voxels = np.clip(_VOXELS_A_PARTICLE * settings.particles, *_VOXELS)
     voxel = float(np.cbrt(np.prod(np.ptp(places, axis=0) + 1e-4) / voxels))
     tell(0.1, "the solid behind them")
@@ -103,6 +104,16 @@ def found_object(
     names = [segment_name(number) for number in range(particles.segment_count)]
     parts = segment_meshes(lattice, distance, position[inside], own, names)
     return FoundObject(particles, tuple(parts), lift)
+
+
+def _on_object(views: Sequence[SeenDepth], places: np.ndarray) -> np.ndarray:
+    """Places (M, 3) [m] without those that pictures show far beside the object: a single one that floats
+    there would make a lattice over all of them coarse."""
+    size = float(np.linalg.norm(np.ptp(np.percentile(places, [5, 95], axis=0), axis=0)))
+    kept = places[signed_distance(views, places) < _FAR * size]
+    if len(kept) == 0:
+        raise ValueError("gaussians: none lies where the rest views show the object; expected one object")
+    return kept
 
 
 def _silent(share: float, text: str) -> None:

@@ -61,6 +61,8 @@ def gaussian_features(
         )
         for each in grouper.groups_of(photograph):
             groups.append(seen_in_groups(gaussians, photograph.camera, each))
+    if not any(each.shape[1] for each in groups):
+        raise ValueError(f"{grouper.name}: found no groups in any picture; expected some on the object")
     places = gaussians.positions.detach().numpy()
     near = cKDTree(places).query(places, k=min(_BONDED, len(places)))[1]
     affinity = affinity_features(sparse.hstack(groups), neighbour_groups(near), count=AFFINITIES)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import label
+from scipy.ndimage import distance_transform_edt, label
 
 from mphygs.capture.cameras import Camera
 from mphygs.scene.lattice import Lattice
@@ -187,6 +187,19 @@ def _room(views: Sequence[SeenDepth], reach: float, most: int) -> np.ndarray:
     return np.concatenate(found)
 
 
+def _bounded(distance: np.ndarray, inside: np.ndarray, spacing: float) -> np.ndarray:
+    """Distances (X, Y, Z) [m] of which none is larger than that to the nearest voxel on the other side.
+
+    Those that views give can be: what one looks past far in front of a surface, or into it along itself.
+    Where they jump, a surface drawn between voxels would lie at one of them instead of half way.
+    """
+    if not inside.any() or inside.all():
+        return distance
+    out = distance_transform_edt(~inside, sampling=spacing)
+    deep = distance_transform_edt(inside, sampling=spacing)
+    return np.clip(distance, -deep, out)
+
+
 def solid_behind(
     views: Sequence[SeenDepth], points: np.ndarray, *, spacing: float
 ) -> tuple[Lattice, np.ndarray, float]:
@@ -201,5 +214,6 @@ def solid_behind(
     lifted = [SeenDepth(v.camera, v.depth - np.float32(lift), v.outside) for v in views]
     distance = signed_distance(lifted, coarse.points()).reshape(coarse.shape)
     lattice, distance = refined(coarse, distance, lifted)
-    specks = (distance <= 0) & ~largest_body(distance <= 0)
-    return lattice, np.where(specks, 0.5 * spacing, distance), lift
+    inside = largest_body(distance <= 0)
+    distance = np.where((distance <= 0) & ~inside, 0.5 * spacing, distance)
+    return lattice, _bounded(distance, inside, spacing), lift
