@@ -26,7 +26,7 @@ from mphygs.capture.format import load_capture
 from mphygs.command import plain
 from mphygs.extend.discover import discover
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import default_spacing
+from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.prediction import Settings
 from mphygs.synth.make import make_capture
@@ -67,10 +67,14 @@ def run_case(case: Case, seed: int, options: Options, say: object) -> dict:
     try:
         answer = capture_of(case, seed, folder)
         capture = load_capture(folder)
-        spacing = case.fit_spacing * default_spacing(capture)
+        # As the command does it, but for cases that are about the grid.
+        screening = case.fit_spacing == 1.0
+        spacing = screening_spacing(capture) if screening else case.fit_spacing * default_spacing(capture)
         experiment = Experiment.of(capture, Settings(spacing=spacing, workers=options.workers))
         began = time.perf_counter()
-        found = discover(experiment, starting_belief(capture), spacing, seed=seed, report=say)
+        found = discover(
+            experiment, starting_belief(capture), spacing, seed=seed, screening=screening, report=say
+        )
         entry = record(case, answer, found, time.perf_counter() - began)
     except (
         Exception
