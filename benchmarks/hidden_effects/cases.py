@@ -6,8 +6,8 @@ import fnmatch
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from mphygs.capture.motions import Motion
 from mphygs.synth.markers import Noise
-from mphygs.synth.motions import Motion
 from mphygs.synth.recipe import Recipe, Take, default_takes, recipe
 from mphygs.synth.shapes import shape
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.format import Capture, load_capture
+from mphygs.capture.motions import Motion
 from mphygs.synth.make import Made, make_capture
 from mphygs.synth.markers import Noise
-from mphygs.synth.motions import Motion
 from mphygs.synth.recipe import Recipe, Take, recipe
 
 SIGMA = 2e-4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -20,8 +20,10 @@ from mphygs.diagnose.missing_force_document import (
     missing_force_text,
     unexplained,
 )
+from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import Ranking, allowance_of, rank
 from mphygs.extend.discover import Discovery, discover
+from mphygs.extend.separate import motions_to_record
 from mphygs.extend.step import Step, excess
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
@@ -84,7 +86,8 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
         missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
     keep_missing_force(missing, state.folder)
-    document = diagnosis_document(found, ranking, experiment, missing)
+    motions = motions_to_record(found, experiment, report=console.say)
+    document = diagnosis_document(found, ranking, experiment, missing, motions)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
     lines = diagnosis_text(plain(document))
     if missing is not None:
@@ -115,9 +118,13 @@ def _ranking(
 
 
 def diagnosis_document(
-    found: Discovery, ranking: Ranking, experiment: Experiment, missing: Unexplained | None = None
+    found: Discovery,
+    ranking: Ranking,
+    experiment: Experiment,
+    missing: Unexplained | None = None,
+    motions: Sequence[Proposed] = (),
 ) -> dict[str, object]:
-    """The JSON of a diagnosis."""
+    """The JSON of a diagnosis. motions: that would tell the first effect from its rival."""
     sigma = float(np.sqrt(np.mean([o.sigma**2 for o in experiment.observations.values()])))
     first = next((step for step in found.steps if step.refits), None)
     refitted, ties = {}, {}
@@ -132,7 +139,8 @@ def diagnosis_document(
         "effects": list(found.effects),
         "ranking": entries,
         "missing_force": None if missing is None else missing.document(),
-        "advice": advice(found.verdict, found.effects, entries, found.warnings),
+        "next_motions": [asdict(motion) for motion in motions],
+        "advice": advice(found.verdict, found.effects, entries, found.warnings, motions=motions),
     }
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import Ranking
 
 SHOWN = 8
@@ -49,9 +50,14 @@ def ranking_document(
 
 
 def advice(
-    verdict: str, found: Sequence[str], ranking: Sequence[Mapping[str, object]], warnings: Sequence[str]
+    verdict: str,
+    found: Sequence[str],
+    ranking: Sequence[Mapping[str, object]],
+    warnings: Sequence[str],
+    *,
+    motions: Sequence[Proposed] = (),
 ) -> str:
-    """What to do next, in words."""
+    """What to do next, in words. motions: to record, where the first effect has a rival, the best first."""
     lines = []
     if verdict == "adequate":
         lines.append("Nothing needs to be added: the misfit is noise and the discretisation's share.")
@@ -66,10 +72,13 @@ def advice(
     for name, others in ties.items():
         if not others:
             continue
-        lines.append(
-            f"This motion does not tell {name} from {', '.join(others)}: record another one, with another "
-            "amplitude, frequency or direction of gravity, and fit both."
-        )
+        told = "record another one, with another amplitude, frequency or direction of gravity, and fit both"
+        if motions and name == found[0]:
+            told = (
+                f"record another one and fit both; best of {len(motions)} that were simulated: "
+                f"{motions[0].motion} (chi^2 would tell them apart by {motions[0].separation:.0f})"
+            )
+        lines.append(f"This motion does not tell {name} from {', '.join(others)}: {told}.")
     return " ".join([*lines, *(f"Warning: {line}." for line in warnings)])
 
 

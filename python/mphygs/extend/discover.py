@@ -11,7 +11,7 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
-from mphygs.extend.grids import on_grid, probed, refined
+from mphygs.extend.grids import on_grid, onward, probed, refined
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.simplest import among_all, without_loads
 from mphygs.extend.step import Step, excess
@@ -199,7 +199,9 @@ def promising(ranking: Ranking) -> list[Entry]:
     good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
     if ranking.chi_square < LINEAR**2 * ranking.rows:
         beyond = ranking.chi_square - ranking.rows
-        floor = max(WORTH_A_REFIT * beyond, ranking.decoy_statistic)
+        # Smooth decoys do as well as most effects do before a refit: they never exclude the better half.
+        most = good[0].statistic if good else 0.0
+        floor = max(WORTH_A_REFIT * beyond, min(ranking.decoy_statistic, 0.5 * most))
         good = [e for e in good if e.statistic > floor]
     if not good:
         return []
@@ -209,17 +211,6 @@ def promising(ranking: Ranking) -> list[Entry]:
         if rest and rest[0] not in chosen and rest[0].statistic > 0.02 * good[0].statistic:
             chosen.append(rest[0])
     return chosen
-
-
-def _onward(share: float, kind: str) -> list[float]:
-    """Shares of the frames on the way from a window to all of them; what sets in at some moment (a threshold)
-    is followed in smaller steps."""
-    shares = []
-    while share < 1.0:
-        share = min(2.0 * share, 0.5 * (1.0 + share)) if kind == "threshold" else 2.0 * share
-        shares.append(1.0 if share > 0.8 else share)
-        share = shares[-1]
-    return shares
 
 
 def refits_of(
@@ -249,7 +240,7 @@ def refits_of(
             # The motion is followed from the window on, not met all at once: half a swing off there is no way
             # back.
             try:
-                for share in _onward(window[0], entry.kind):
+                for share in onward(window[0], entry.kind):
                     solution = minimise(
                         experiment.window(spacing, share),
                         solution.belief,
@@ -293,8 +284,8 @@ def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
     return best, [r for r in ordered[1:] if excess(r.assessment) < limit]
 
 
-def step_of(refit: Refit, spacing: float, refits: Sequence[Refit]) -> Step:
-    """The model of a refit as a step."""
+def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float) -> Step:
+    """The model of a refit as a step. since: see `Step`."""
     added = (refit.entry.effect,)
     return Step(
         refit.belief,
@@ -305,6 +296,7 @@ def step_of(refit: Refit, spacing: float, refits: Sequence[Refit]) -> Step:
         added,
         (),
         tuple(refits),
+        since,
     )
 
 
@@ -439,7 +431,7 @@ def discover(
             )
         finished = refits_of(experiment, current, window, ranking, spacing, generator, say)
         for r in finished:
-            if r.surprising:
+            if window[0] == 1.0 and r.surprising:
                 warnings.append(
                     f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, "
                     f"actual {r.actual_drop:.0f}"
@@ -448,8 +440,8 @@ def discover(
         if not refits:
             break
         best, rivals = choose(refits)
-        step = step_of(best, spacing, finished)
-        others = [step_of(r, spacing, ()) for r in rivals]
+        step = step_of(best, spacing, finished, window[0])
+        others = [step_of(r, spacing, (), window[0]) for r in rivals]
         steps.append(settled(experiment, steps, step, others, report, screening=screening))
         experiment.whole = ()  # one model of all recordings from here on
         if on_step:

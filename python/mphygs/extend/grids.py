@@ -10,6 +10,7 @@ from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.fit.schedule import default_spacing, simulable
+from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
 # On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
@@ -30,10 +31,25 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     return default if small or last.assessment.worst < GROSS else None
 
 
+def onward(share: float, kind: str) -> list[float]:
+    """Shares of the frames on the way from a window to all of them; what sets in at some moment (a threshold)
+    is followed in smaller steps."""
+    shares = []
+    while share < 1.0:
+        share = min(2.0 * share, 0.5 * (1.0 + share)) if kind == "threshold" else 2.0 * share
+        shares.append(1.0 if share > 0.8 else share)
+        share = shares[-1]
+    return shares
+
+
 def on_grid(
     experiment: Experiment, step: Step, spacing: float, report: Callable[[str], None] | None = None
 ) -> Step | None:
-    """The step refitted on another grid, None where it cannot be simulated there."""
+    """The step refitted on another grid, None where it cannot be simulated there.
+
+    What sets in at some moment is refitted from there on: over all frames at once, what a coarse grid made of
+    it is hard to leave.
+    """
     say = report or (lambda _text: None)
     say(f"refitting on a grid of {1e3 * spacing:.3g} mm")
     try:
@@ -44,7 +60,15 @@ def on_grid(
             rms = (evaluation.chi_square / max(evaluation.data_rows, 1)) ** 0.5
             say(f"{1e3 * spacing:.3g} mm: iteration {iteration}, {rms:.3f} sigma")
 
-        solution = minimise(problem, belief, iterations=ITERATIONS, relative_tolerance=1e-3, report=tell)
+        late = step.since < 1.0 and any(effect(name).kind == "threshold" for name in step.added)
+        if late:
+            for share in [step.since, *onward(step.since, "threshold")][:-1]:
+                window = experiment.window(spacing, share)
+                belief = minimise(
+                    window, belief, iterations=ITERATIONS // 2, relative_tolerance=1e-3, report=tell
+                ).belief
+        iterations = ITERATIONS // 2 if late else ITERATIONS
+        solution = minimise(problem, belief, iterations=iterations, relative_tolerance=1e-3, report=tell)
         compared = experiment.compare(solution.belief, spacing)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")

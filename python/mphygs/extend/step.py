@@ -18,7 +18,7 @@ EXPLAINED = 1.15
 @dataclass(frozen=True, eq=False)
 class Step:
     """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
-    cannot tell from them."""
+    cannot tell from them; since: share of the fitted frames, from the first on, that they were found on."""
 
     belief: Belief
     solution: Solution
@@ -28,6 +28,7 @@ class Step:
     added: tuple[str, ...] = ()
     ties: tuple[str, ...] = ()
     refits: tuple[Refit, ...] = ()
+    since: float = 1.0
 
     @property
     def explained(self) -> bool:

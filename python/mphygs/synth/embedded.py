@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mphygs.capture.motions import Motion
 from mphygs.synth.make import make_capture
 from mphygs.synth.markers import Noise
-from mphygs.synth.motions import Motion
 from mphygs.synth.recipe import Take, recipe
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.format import Capture, Hold, Known, Markers, save_capture
+from mphygs.capture.motions import hold_poses
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.schedule import default_spacing
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.markers import measure, place_markers
-from mphygs.synth.motions import hold_poses
 from mphygs.synth.recipe import Recipe, Take
 from mphygs.synth.truth import Motion, simulate
 

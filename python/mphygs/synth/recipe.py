@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mphygs.capture.motions import Motion
 from mphygs.synth.hidden import Hidden, parse
 from mphygs.synth.markers import Noise
-from mphygs.synth.motions import Motion
 from mphygs.synth.shapes import Shape, shape
 
 SIMULATORS = ("total-lagrangian", "finite-element")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mphygs.synth.motions import Motion
+from mphygs.capture.motions import Motion
 from mphygs.synth.recipe import Take
 
 FPS = 50.0

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.format import Capture, Hold, Known
+from mphygs.capture.motions import hold_poses
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -21,7 +22,6 @@ from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, places
 from mphygs.simulate.prediction import Settings
 from mphygs.synth.flower.grow import Flower
 from mphygs.synth.hidden import Hidden
-from mphygs.synth.motions import hold_poses
 from mphygs.synth.recipe import Recipe, Take
 from mphygs.synth.truth import CausedPredictor, true_belief
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from mphygs.capture.motions import Motion, hold_poses, ramp
 from mphygs.capture.rotation import matrix_from_quaternion
-from mphygs.synth.motions import Motion, hold_poses, ramp
 
 
 def test_ramp_has_no_jump_in_two_derivatives() -> None:

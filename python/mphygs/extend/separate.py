@@ -1,0 +1,75 @@
+"""After the loop: which motion would tell what was found from what the data confuse it with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mphygs.diagnose.candidates import Way, smooth_ways
+from mphygs.diagnose.next_motion import Proposed, propose
+from mphygs.diagnose.rank import Entry
+from mphygs.extend.discover import Discovery
+from mphygs.extend.step import Step
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.placement import masses_of_loads
+from mphygs.model.belief import Belief
+
+
+def motions_to_record(
+    found: Discovery, experiment: Experiment, *, report: Callable[[str], None] | None = None
+) -> tuple[Proposed, ...]:
+    """Motions that would tell the first effect found from its closest rival, the best first.
+
+    None without a rival, for effects that no tangent describes, and where nothing that could be moved is
+    held.
+    """
+    number = next((k for k, step in enumerate(found.steps) if k and step.ties), None)
+    if number is None or not set(found.steps[number].added) & set(found.effects):
+        return ()
+    step, rankings = found.steps[number], [r for r in found.rankings if r.entries]
+    leader = step.added[0]
+    entries = {entry.effect: entry for ranking in reversed(rankings) for entry in ranking.entries}
+    belief = _without_last(found.steps[number - 1], step)
+    name = next(iter(experiment.fitted))
+    predictor = experiment.predictor(name, step.spacing)
+    hung = masses_of_loads(experiment.capture, [name])
+    ways = smooth_ways(belief, predictor.body, names=[leader, *step.ties], hung=hung)
+    first = _way_of(entries.get(leader), ways)
+    second = next((w for rival in step.ties if (w := _way_of(entries.get(rival), ways))), None)
+    if first is None or second is None:
+        return ()
+    return propose(
+        predictor,
+        experiment.observations[name],
+        belief,
+        first,
+        second,
+        _strength(first, entries[leader], step.belief),
+        report=report,
+    )
+
+
+def _without_last(before: Step, after: Step) -> Belief:
+    """The belief of the step before with the numbers that the step after found for what they share."""
+    values = {p.key: p.value for p in after.belief.parameters}
+    parameters = tuple(replace(p, value=values.get(p.key, p.value)) for p in before.belief.parameters)
+    return replace(before.belief, parameters=parameters)
+
+
+def _way_of(entry: Entry | None, ways: list[Way]) -> Way | None:
+    """The way in which an entry has its effect, or the effect's first."""
+    if entry is None:
+        return None
+    own = [way for way in ways if way.effect == entry.effect]
+    return next((way for way in own if way.label == entry.label), own[0] if own else None)
+
+
+def _strength(way: Way, entry: Entry, belief: Belief) -> np.ndarray:
+    """(q,) of the effect, in units of the way's parameters: as fitted, where those are the model's own."""
+    keys = [p.key for _, p in way.columns]
+    if len(set(keys)) == len(keys) and all(key in belief for key in keys):
+        return np.array([belief[p.key].value - p.value for _, p in way.columns])
+    estimate = np.array(list(entry.estimate.values()))
+    return estimate if len(estimate) == len(keys) else np.ones(len(keys))
