@@ -161,7 +161,8 @@ def found_rigid(gaussians: Gaussians, photographs: Sequence[Photograph], rule: A
 
 
 def _middle(mask: np.ndarray) -> np.ndarray:
-    row, column = np.nonzero(mask >= 0.5)
+    # of a small picture of something thin no pixel may be covered by half
+    row, column = np.nonzero(mask >= 0.5 * mask.max())
     return np.array([column.mean(), row.mean()]) + 0.5
 
 
