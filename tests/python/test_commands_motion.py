@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -16,8 +16,15 @@ from mphygs.capture.rotation import matrix_from_quaternion, matrix_from_rotation
 from mphygs.capture.transforms import read_transforms
 
 MOTION = rod_video.RodMotion(start=((0.05, -0.1, 0.15), (0.004, -0.006, 0.005)))
-OPTIONS = ("--control-points", 50, "--tracks", 120)
 PIXEL = 0.16 / rod_video.SIZE
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_frames_without_cameras() -> Iterator[None]:
+    """Cameras are left out in two frames rather than in six: that takes most of the time here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(motion_stages, "JACKKNIFED", 2)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +168,7 @@ def test_a_users_own_pose_tracks_and_hold_are_used(
     assert found["tracks"] == 120 and "difference" not in found
     assert not (stages / "register").exists(), "not needed"
     # the contact is found anew, from these tracks
-    found = answer(contact.main, capture, *command, "--radius", 0.014)["sequences"]["carried"]
+    found = answer(contact.main, capture, *command, "--radius", 0.018)["sequences"]["carried"]
     assert found["from"] == "new" and found["held_tracks"] >= 6
     path = stages / "contact" / "carried" / "hold.npz"
     with np.load(path) as made:
@@ -303,21 +310,14 @@ def test_a_bad_picture_in_the_middle_loses_nothing(
     shutil.copytree(capture, folder)
     shutil.copytree(run / "stages" / "register", tmp_path / "run" / "stages" / "register")
     picture = folder / VIDEO / "masks" / "camera1_006.png"
-    good = picture.read_bytes()
     # as long as before: the same video to the stages that are done
-    picture.write_bytes(b"x" * len(good))
+    picture.write_bytes(b"x" * len(picture.read_bytes()))
     command = (folder, *options(gaussians, tmp_path / "run", "--tracks", 120))
     code, _, err = call(track.main, *command)
     assert code == 2 and "camera1_006.png" in err.strip().splitlines()[-1]
     partial = tmp_path / "run" / "stages" / "track" / "carried" / "partial.npz"
     with np.load(partial) as kept:
         assert len(kept["position"]) == 5
-    picture.write_bytes(good)
-    answer(track.main, *command)
-    with np.load(partial.with_name("tracks.npz")) as again, np.load(
-        run / "stages/track/carried/tracks.npz"
-    ) as whole:
-        assert np.array_equal(again["position"], whole["position"], equal_nan=True)
 
 
 @pytest.mark.parametrize(
