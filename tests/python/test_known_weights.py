@@ -140,6 +140,18 @@ def test_nothing_changes_in_a_sequence_without_the_load(transfer: str) -> None:
     assert not np.any(found.jacobian)
 
 
+def test_a_sequence_without_the_load_takes_the_substep_of_the_object_alone() -> None:
+    # Nearly all of the bar's nodes share in the mass: with it they swing more slowly, and steps are longer.
+    capture = two_recordings(rest="stress-free", frames=8)
+    plain = stiff_bar(capture)
+    heavy = with_weight(plain, capture, 10.0)
+    steps = {}
+    for name in ("a", "b"):
+        predictor = Predictor(capture, capture.sequence(name), Settings(0.04, workers=1, dtype="float64"))
+        steps[name] = predictor.stable_substep(heavy) / predictor.stable_substep(plain)
+    assert steps["a"] == pytest.approx(1.0, rel=1e-6) and steps["b"] > 1.1
+
+
 # ---- the weight is not added again ------------------------------------------------------------
 @pytest.mark.parametrize("prestress", ["paper", "equilibrium"])
 @pytest.mark.parametrize("place", [[0.055, 0.01, 0.01], [0.06, 0.0, 0.0], [0.043, 0.017, 0.004]])

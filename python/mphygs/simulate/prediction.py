@@ -94,7 +94,7 @@ class Predictor:
         largest rates of the linearised model, found by power iteration.
         """
         model = self.model_of(belief)
-        fields = primal(belief, self.body)
+        fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if "contact" in belief.effects:
             # Everything touches, without friction: at such depths it would brake without bound.
             first = core_parameter_offsets()["contact"]
