@@ -27,7 +27,10 @@ SPACING = 0.01
 def assessment_of(*ratios: float, adequate: bool = False) -> Assessment:
     """Misfits [sigma] of as many sequences."""
     found = {f"s{k}": {"fit": ratio} for k, ratio in enumerate(ratios)}
-    floor = Floor(1.0, 1, 1.0, 0.01, 1.0, 1.0, ())
+    floor = Floor(
+        chi_square=1.0, degrees=1, limit=1.0, level=0.01, p_value=1.0, p_value_low=1.0, blocks=(),
+        block_ratio=np.zeros(0), block_p_values=np.zeros(0),
+    )  # fmt: skip
     return Assessment(adequate, 1.0, found, floor, [], [], {})
 
 
