@@ -95,7 +95,23 @@ def begun(
     return found, said
 
 
-def test_a_refit_begins_at_the_strength_that_fits_best() -> None:
+@pytest.mark.parametrize(("estimate", "strength"), [(0.4, 2.0), (1.0, 1.0), (2.5, 0.5)])
+def test_a_refit_begins_at_the_strength_that_fits_best(
+    estimate: float, strength: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = []
+
+    def first(_problem: object, start: Belief, **_: object) -> None:
+        started.append(start["viscosity.eta"].value)
+        raise SimulationError("only the start is asked for")
+
+    monkeypatch.setattr(refit, "minimise", first)
+    start = scene()[1].belief.with_effect("viscosity", {"eta": estimate * ETA})
+    assert begun(entry=entry_of("viscosity", 1000.0, start=start)) == (None, [])
+    assert started == [pytest.approx(strength * estimate * ETA)]
+
+
+def test_a_refit_finds_its_effect() -> None:
     _, before, entry, _ = scene()
     solution, said = begun()
     assert solution.evaluation.chi_square < 0.1 * before.evaluation.chi_square
