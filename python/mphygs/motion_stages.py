@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from mphygs.capture.errors import fault
+from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import quaternion_from_matrix
@@ -125,14 +126,15 @@ def register_stage(
         where = f'sequence "{recording.name}"'
         check_first_frame(at_rest, views.read(0), views.correspondences, where=where)
         rest_cameras = {name: view.camera for name, view in run.rest.views.items()}
-    found = register(
-        run.gaussians,
-        run.read(views, 0),
-        views.correspondences,
-        rest_cameras=rest_cameras,
-        first_cameras={name: views.views[name, 0].camera for name in views.cameras},
-        rule=rule,
-    )
+    with named(recording):
+        found = register(
+            run.gaussians,
+            run.read(views, 0),
+            views.correspondences,
+            rest_cameras=rest_cameras,
+            first_cameras={name: views.views[name, 0].camera for name in views.cameras},
+            rule=rule,
+        )
     arrays = {
         "quaternion": quaternion_from_matrix(found.motion.rotation),
         "position": found.motion.shift,
@@ -186,7 +188,8 @@ def track_stage(
         done=None if kept is None else Followed(**kept),
         report=keep,
     )
-    chosen = chosen_gaussians(aligner, followed, count)
+    with named(recording):
+        chosen = chosen_gaussians(aligner, followed, count)
     frames = np.unique(
         np.linspace(min(1, recording.frames - 1), recording.frames - 1, JACKKNIFED).astype(int)
     )
@@ -199,7 +202,8 @@ def track_stage(
     tracks = tracks_of(aligner, followed, chosen, variance)
     stage.write(TRACKS, tracks.arrays())
     stage.drop_partial()
-    return tracks, followed
+    # as written, in single precision: what follows has the same numbers whether broken off here or not
+    return read_tracks(path, frames=recording.frames, gaussians=run.gaussians.count), followed
 
 
 def contact_stage(
@@ -241,11 +245,23 @@ def contact_stage(
     if stage.holds(HOLD):
         return read_hold(path, frames=recording.frames), "made", None
     cameras = {name: views.views[name, 0].camera for name in views.cameras}
-    coarse = coarse_contact(cameras, views.contact, recording.frames)
-    grip = find_grip(tracks.rest, tracks.position, coarse, radius=radius)
+    with named(recording):
+        coarse = coarse_contact(cameras, views.contact, recording.frames)
+        grip = find_grip(tracks.rest, tracks.position, coarse, radius=radius)
     arrays = {"position": grip.motion.position, "quaternion": grip.motion.quaternion, "box": grip.box}
     stage.write(HOLD, arrays)
     return ContactHold(**arrays), "new", grip
+
+
+@contextmanager
+def named(recording: Recording) -> Iterator[None]:
+    """Names the sequence in what is wrong with its points, tracks and pixels."""
+    try:
+        yield
+    except np.linalg.LinAlgError:  # a ValueError that no input explains
+        raise
+    except ValueError as error:
+        raise CaptureError(f'sequence "{recording.name}": {error}') from error
 
 
 def shrunk(photograph: Photograph, longest: int) -> Photograph:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -54,8 +54,16 @@ class VideoOptions(CommonOptions):
         return VideoRun.open(self.capture, self.out, self.gaussians, self.longest)
 
     def resume(self, program: str) -> str:
-        """The command line that goes on where it was broken off."""
-        return f"{program} {shlex.quote(str(self.capture))} --out {shlex.quote(str(self.out))}"
+        """The command line that goes on where it was broken off: all options that are not as usual."""
+        words = [program, shlex.quote(str(self.capture))]
+        for option in fields(self):
+            value = getattr(self, option.name)
+            if option.name == "capture" or value == option.default:
+                continue
+            words.append("--" + option.name.replace("_", "-"))
+            if value is not True:
+                words.append(shlex.quote(str(value)))
+        return " ".join(words)
 
 
 @dataclass(frozen=True, kw_only=True)

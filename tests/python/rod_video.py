@@ -194,7 +194,7 @@ def write_rod_capture(folder: Path, motion: RodMotion, *, views: int = 4, held: 
     }  # fmt: skip
     (folder / "capture.json").write_text(json.dumps(document))
     file = folder.parent / "gaussians.ply"
-    write_gaussians(file, gaussians())
+    write_gaussians(file, gaussians(1200))
     return file
 
 

@@ -56,6 +56,12 @@ def test_pixels_become_a_prediction(capture: Path, stages: Path, tmp_path: Path)
 def test_the_loop_finds_what_only_the_video_shows(capture: Path, stages: Path, tmp_path: Path) -> None:
     options = ("--effects", "air_drag,gravity", *OPTIONS)
     found = answer(discover.main, capture, "--out", tmp_path / "loop", "--stages", stages, *options)
-    assert "air_drag" in found["effects"] or any("air_drag" in step["ties"] for step in found["steps"])
+    last = found["steps"][-1]
+    assert last["effects"] == ["air_drag"], "drag, and not gravity, which explains nearly as much"
+    assert 20.0 < last["parameters"]["air_drag.c_d"]["value"] < 80.0, "40 is the truth"
+    # The shape found in pictures this small (a stem with a third of its volume missing) leaves an error near
+    # the limit up to which a model counts as enough: with true tracks it stays, with the true shape it goes.
+    # So whether the loop calls its last model enough is left open, but not what it calls missing then.
+    assert (found["verdict"], found["effects"]) in (("missing", ["air_drag"]), ("unknown", []))
     before, after = (found["steps"][k]["sequences"]["frog"]["predict"]["rms"] for k in (0, -1))
     assert after < 0.6 * before

@@ -88,6 +88,8 @@ def proposals(
     """
     seen = np.isfinite(measured).all(-1)
     points, expected = measured[seen], predicted[seen]
+    if not len(points):
+        return []
     misfit = points - expected
     found = []
     for n in sphere(DIRECTIONS):
@@ -120,9 +122,14 @@ class _Runs:
         self.whitener = observation.whitener(self.first, self.last)
         self.before = evaluation.positions[self.name]
         residual = observation.position[self.first : self.last] - self.before[self.first : self.last]
-        off = np.sqrt(np.nanmean(residual**2, axis=(1, 2))) > BEGINS * observation.sigma
+        # A frame that shows no marker is not off.
+        allowed = (BEGINS * observation.sigma) ** 2 * np.isfinite(residual).sum(axis=(1, 2))
+        off = np.nansum(residual**2, axis=(1, 2)) > allowed
         begin = self.first + int(np.argmax(off)) - BEFORE if off.any() else 0
         self.start = self._start(begin)
+        if belief.prestress == "equilibrium":
+            # A wall leaves the rest shape alone: solved for once, here, as threads may not share a solver.
+            self.predictor.rest_shape.solve(belief)
 
     def _start(self, frame: int) -> Start | None:
         """The state of the model without a wall at a frame; None where runs begin at rest."""

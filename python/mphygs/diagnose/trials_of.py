@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mphygs.capture.format import Capture
-from mphygs.fit.placement import masses_of_loads
+from mphygs.fit.placement import weights_of_loads
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
 
@@ -55,12 +55,8 @@ def hung_trials(capture: Capture, belief: Belief, sequences: Sequence[str]) -> l
     if "attached_mass" in belief.effects or gravity == 0.0:
         return []
     trials = []
-    for settings in masses_of_loads(capture, sequences):
-        names = settings["sequences"]
-        place = np.asarray(settings["place"], float)
-        loads = [load for name in names[:1] for load in capture.sequence(name).loads]
-        nearest = min(loads, key=lambda load: float(np.linalg.norm(np.mean(load.box, axis=0) - place)))
-        mass = float(np.linalg.norm(nearest.force)) / gravity
+    for load, settings in weights_of_loads(capture, sequences):
+        mass = float(np.linalg.norm(load.force)) / gravity
         for share in MASS_SHARES:
             extended = belief.with_effect("attached_mass", {"m": share * mass}, settings)
             trials.append(Trial("attached_mass", hung_label(settings), extended))

@@ -127,14 +127,27 @@ def tractable_window(
         say(f"window of {share:.0%} of the frames: {ratio_of(solution.evaluation):.3f} sigma")
         return solution
 
-    shortest = fitted(WINDOWS[0], belief)
+    def seen_from(before: Belief, share: float, farther: float) -> tuple[float, Solution]:
+        """Something sets in between, a contact say. The model of the frames before it is right there: what
+        it lacks is seen from it on the frames after."""
+        evaluation = experiment.window(spacing, share).evaluate(before)
+        say(f"seen from before, {share:.0%} of the frames: {ratio_of(evaluation):.3f} sigma")
+        if ratio_of(evaluation) < VISIBLE:
+            share = farther
+            evaluation = experiment.window(spacing, share).evaluate(before)
+        return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
+
+    shortest, beyond = fitted(WINDOWS[0], belief), WINDOWS[0]
     for share in SHORTER:
         if ratio_of(shortest.evaluation) < TRACTABLE:
             break
         # Even that is far off: several swings, or a load that nothing in the model answers to.
+        beyond = WINDOWS[0] if best is None else best[0]
         shortest = fitted(share, belief)
         best = (share, shortest)
     if best is not None:
+        if ratio_of(shortest.evaluation) < VISIBLE:
+            return seen_from(shortest.belief, 0.5 * (best[0] + beyond), beyond)
         return best
     for share in WINDOWS:
         solution = shortest if share == WINDOWS[0] else fitted(share, belief)
@@ -142,16 +155,7 @@ def tractable_window(
         if best is not None and ratio > TRACTABLE:
             if ratio_of(best[1].evaluation) > VISIBLE:
                 break
-            # Something sets in between, a contact say. The model of the frames before it is right there:
-            # what it lacks is seen from it on the frames after.
-            share = 0.5 * (best[0] + share)
-            before = best[1].belief
-            evaluation = experiment.window(spacing, share).evaluate(before)
-            say(f"seen from before, {share:.0%} of the frames: {ratio_of(evaluation):.3f} sigma")
-            if ratio_of(evaluation) < VISIBLE:
-                share = WINDOWS[-1]
-                evaluation = experiment.window(spacing, share).evaluate(before)
-            return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
+            return seen_from(best[1].belief, 0.5 * (best[0] + share), WINDOWS[-1])
         best, belief = (share, solution), solution.belief
         if ratio > VISIBLE:
             break

@@ -6,6 +6,7 @@ spoils what the other says.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from mphygs.extend.step import Step
@@ -30,7 +31,8 @@ def among_all(experiment: Experiment, first: Belief, step: Step) -> Step:
     for p in first.parameters:
         if p.free and p.key in found:
             # what the other recordings alone can tell was fitted with a model that is now another one
-            p = replace(p, value=found[p.key].value if found[p.key].free else p.prior_mean)
+            usual = math.exp(p.prior_mean) if p.log else p.prior_mean
+            p = replace(p, value=found[p.key].value if found[p.key].free else usual)
         parameters.append(p)
     own = {parameter.key for parameter in first.parameters}
     parameters += [parameter for key, parameter in found.items() if key not in own]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mphygs.capture.format import Capture
+from mphygs.capture.holds import Load
 from mphygs.capture.meshes import Part
 from mphygs.fit.start import with_effect
 from mphygs.model.belief import Belief
@@ -38,24 +39,35 @@ def place_of_effect(capture: Capture, sequences: Sequence[str]) -> np.ndarray:
     return closest_material(capture.parts, at[[distance.argmax()]]).anchor[0]
 
 
-def masses_of_loads(capture: Capture, sequences: Sequence[str]) -> list[dict[str, object]]:
-    """Settings of a point mass for each known load of the sequences, alike ones together.
+def place_of_load(capture: Capture, load: Load) -> np.ndarray:
+    """(3,) material point [m] in the middle of what of a load's box the object reaches into."""
+    vertices = np.concatenate([part.vertices for part in capture.parts])
+    box = np.clip(np.asarray(load.box, float), vertices.min(0), vertices.max(0))
+    return closest_material(capture.parts, box.mean(0)[None]).anchor[0]
+
+
+def weights_of_loads(capture: Capture, sequences: Sequence[str]) -> list[tuple[Load, dict[str, object]]]:
+    """The known loads of the sequences, alike ones once, each with the settings of its point mass.
 
     A load that is a weight has a mass as well: it brings inertia in the sequences that have the load; its
     weight is the load, and is not added again.
     """
-    found: dict[bytes, dict[str, object]] = {}
+    found: dict[bytes, tuple[Load, dict[str, object]]] = {}
     for name in sequences:
         for load in capture.sequence(name).loads:
             key = np.asarray(load.box, float).tobytes() + np.asarray(load.force, float).tobytes()
             if key not in found:
-                point = np.asarray(load.box, float).mean(0)
-                place = closest_material(capture.parts, point[None]).anchor[0]
-                found[key] = {
-                    "place": place.tolist(), "sequences": [], "weight": False, "at_rest": False
-                }  # fmt: skip
-            found[key]["sequences"].append(name)
+                place = place_of_load(capture, load).tolist()
+                found[key] = load, {"place": place, "sequences": [], "weight": False, "at_rest": False}
+            having = found[key][1]["sequences"]
+            if name not in having:
+                having.append(name)
     return list(found.values())
+
+
+def masses_of_loads(capture: Capture, sequences: Sequence[str]) -> list[dict[str, object]]:
+    """Settings of a point mass for each known load of the sequences, see `weights_of_loads`."""
+    return [settings for _, settings in weights_of_loads(capture, sequences)]
 
 
 def with_placed_effect(belief: Belief, name: str, capture: Capture, sequences: Sequence[str]) -> Belief:

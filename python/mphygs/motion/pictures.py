@@ -108,7 +108,7 @@ def window_of(photographs: Sequence[Photograph]) -> tuple[float, float, float, f
     """Shares (top, bottom, left, right) of the pictures outside of which none shows the object."""
     edges = []
     for photograph in photographs:
-        row, column = np.nonzero(photograph.mask >= 0.5)
+        row, column = np.nonzero(photograph.mask >= 0.5 * photograph.mask.max())
         height, width = photograph.mask.shape
         edges.append((row.min() / height, row.max() / height, column.min() / width, column.max() / width))
     top, bottom, left, right = np.array(edges).T

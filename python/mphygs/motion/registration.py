@@ -70,13 +70,15 @@ def register(
         apart = np.linalg.norm(first.of(source) - target, axis=1)
     else:
         first = found_rigid(gaussians, photographs, rule.alignment)
-    finer: AlignmentRule = replace(rule.alignment, levels=rule.alignment.levels[-3:])
+    aligner = aligner_of(gaussians, replace(rule, alignment=replace(rule.alignment, stiffness=STIFF)))
+    aligner = aligner.matched(photographs, aligner.graph.rest.turned(first.rotation, first.shift))
+    # drawn as soft as the photographs: other edges pull small pictures to another pose
+    finer: AlignmentRule = replace(aligner.rule, levels=rule.alignment.levels[-3:])
     tried = [first, refined_rigid(gaussians, photographs, first, finer)]
-    motion = min(tried, key=lambda m: unlikeness(m.of_gaussians(gaussians), photographs))
-    stiff = replace(rule, alignment=replace(rule.alignment, stiffness=STIFF))
-    aligner = aligner_of(gaussians, stiff)
+    softness = aligner.rule.sight.softness
+    motion = min(tried, key=lambda m: unlikeness(m.of_gaussians(gaussians), photographs, softness=softness))
     expected = aligner.graph.rest.turned(motion.rotation, motion.shift)
-    alignment = aligner.matched(photographs, expected).align(photographs, expected, features=features)
+    alignment = aligner.align(photographs, expected, features=features)
     return Registration(
         motion=motion,
         refined=aligner.graph.carried(alignment.pose),

@@ -17,6 +17,7 @@ from mphygs.capture.views import Photograph
 from mphygs.motion.alignment import AlignmentRule, lifted, pixels_per_metre
 from mphygs.motion.sight import sight_of
 from mphygs.motion.stiffness import turn_and_shift
+from mphygs.render.picture import Optics
 from mphygs.render.splatting import splat
 from mphygs.scene.agreement import triangulate
 from mphygs.scene.gaussians import Gaussians
@@ -161,16 +162,20 @@ def found_rigid(gaussians: Gaussians, photographs: Sequence[Photograph], rule: A
 
 
 def _middle(mask: np.ndarray) -> np.ndarray:
-    row, column = np.nonzero(mask >= 0.5)
+    # of a small picture of something thin no pixel may be covered by half
+    row, column = np.nonzero(mask >= 0.5 * mask.max())
     return np.array([column.mean(), row.mean()]) + 0.5
 
 
-def unlikeness(gaussians: Gaussians, photographs: Sequence[Photograph]) -> float:
-    """Mean absolute difference of colours and silhouettes over all pixels."""
+def unlikeness(gaussians: Gaussians, photographs: Sequence[Photograph], *, softness: float = 0.3) -> float:
+    """Mean absolute difference of colours and silhouettes over all pixels.
+
+    softness: of the drawing, as Optics.blur [px^2].
+    """
     total = 0.0
     with torch.no_grad():
         for photograph in photographs:
-            picture = splat(gaussians, photograph.camera)
+            picture = splat(gaussians, photograph.camera, optics=Optics(blur=softness))
             colour = photograph.colour * photograph.mask[..., None]
             total += float(np.abs(picture.colour.numpy() - colour).mean())
             total += float(np.abs(picture.opacity.numpy() - photograph.mask).mean())

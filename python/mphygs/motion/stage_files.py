@@ -1,7 +1,8 @@
 """What the stages of an image capture hand on: one folder a stage, whole files, made once.
 
-A stage writes its result and, last, stage.json with what it was made of. A result of the same make is taken
-as it is; one without a stage.json is the user's own, checked and taken; one of another make is made again.
+A stage writes stage.json with what its result is made of and the result's digest, then the result. A result
+of the same make is taken as it is; one that is not what stage.json speaks of, or stands there without it, is
+the user's own, checked and taken; one of another make is made again.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mphygs.capture.errors import fault
+from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.files import read_arrays
 from mphygs.capture.rotation import matrix_from_quaternion
 
@@ -84,22 +85,33 @@ class MotionStage:
 
     def holds(self, name: str) -> bool:
         """Whether the result `name` is there and need not be made: of the same make, or the user's own."""
-        record = self.folder / RECORD
         if not (self.folder / name).is_file():
             return False
-        return not record.is_file() or record.read_text(encoding="utf-8") == self._text
+        return self.is_given(name) or self._record().get("made_of") == json.loads(self._text)
 
     def is_given(self, name: str) -> bool:
-        """Whether the result `name` was put there by the user."""
-        return (self.folder / name).is_file() and not (self.folder / RECORD).is_file()
+        """Whether the result `name` was put there by the user: it is not the one that was written."""
+        path = self.folder / name
+        return path.is_file() and self._record().get("result") != _digest(path.read_bytes())
 
     def write(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """The result and what it was made of; a result of another make loses its record first."""
-        (self.folder / RECORD).unlink(missing_ok=True)
-        write_arrays(self.folder / name, arrays)
-        part = self.folder / f"part-{RECORD}"
-        part.write_text(self._text, encoding="utf-8")
-        os.replace(part, self.folder / RECORD)
+        """The result and what it was made of; broken off at any moment, no result of another make is left
+        that could be taken for the user's own."""
+        part = write_part(self.folder / name, arrays)
+        (self.folder / name).unlink(missing_ok=True)
+        record = {"made_of": self.made_of, "result": _digest(part.read_bytes())}
+        waiting = self.folder / f"part-{RECORD}"
+        waiting.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        os.replace(waiting, self.folder / RECORD)
+        os.replace(part, self.folder / name)
+
+    def _record(self) -> Mapping[str, object]:
+        path = self.folder / RECORD
+        try:
+            record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        except ValueError:  # no JSON: not written here
+            return {}
+        return record if isinstance(record, dict) else {}
 
     def partial(self, shapes: Mapping[str, tuple[int | None, ...]]) -> dict[str, np.ndarray] | None:
         """What a run that was broken off kept, None where there is nothing of the same make."""
@@ -125,10 +137,19 @@ class MotionStage:
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """An .npz, wholly or not at all."""
+    os.replace(write_part(path, arrays), path)
+
+
+def write_part(path: Path, arrays: Mapping[str, np.ndarray]) -> Path:
+    """An .npz beside the place where it belongs, to be moved there once it is whole; makes the folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"part-{path.name}")
     np.savez_compressed(part, **arrays)
-    os.replace(part, path)
+    return part
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def digest_of_files(*paths: Path) -> str:
@@ -162,24 +183,26 @@ def read_registered(path: Path, *, gaussians: int) -> Registered:
 def read_tracks(path: Path, *, frames: int, gaussians: int | None = None) -> Tracks:
     """tracks.npz. Raises CaptureError, one line, for other frames than the sequence's, shapes that do not fit
     together, a sigma that is not above zero, and rows that gaussians.ply does not have."""
-    arrays = read_arrays(
-        path,
-        {
-            "rest": (None, 3),
-            "position": (None, None, 3),
-            "quaternion": (None, None, 4),
-            "sigma": (None,),
-            "gaussian": (None,),
-        },
-    )
-    count = len(arrays["rest"])
     shapes = {
+        "rest": (None, 3),
+        "position": (None, None, 3),
+        "quaternion": (None, None, 4),
+        "gaussian": (None,),
+    }
+    try:
+        arrays = read_arrays(path, {**shapes, "sigma": ()})
+    except CaptureError:  # one for each track, or at fault: then said with the shape for each
+        arrays = read_arrays(path, {**shapes, "sigma": (None,)})
+    else:
+        arrays["sigma"] = np.full(len(arrays["rest"]), float(arrays["sigma"]))
+    count = len(arrays["rest"])
+    fitting = {
         "position": (frames, count, 3),
         "quaternion": (frames, count, 4),
         "sigma": (count,),
         "gaussian": (count,),
     }
-    for name, shape in shapes.items():
+    for name, shape in fitting.items():
         if arrays[name].shape != shape:
             raise fault(f"{path}: {name}", f"has shape {arrays[name].shape}", f"{shape}: frames and tracks")
     _check_finite(path, {name: arrays[name] for name in ("rest", "sigma", "gaussian")})
@@ -191,7 +214,8 @@ def read_tracks(path: Path, *, frames: int, gaussians: int | None = None) -> Tra
         or rows.min() < 0
         or (gaussians is not None and rows.max() >= gaussians)
     ):
-        raise fault(f"{path}: gaussian", "names rows that there are not", f"0 to {(gaussians or 0) - 1}")
+        last = "up" if gaussians is None else f"to {gaussians - 1}"
+        raise fault(f"{path}: gaussian", "names rows that there are not", f"whole numbers from 0 {last}")
     return Tracks(arrays["rest"], arrays["position"], arrays["quaternion"], arrays["sigma"], rows)
 
 

@@ -88,6 +88,11 @@ class MaterialPoints(Transfer):
         out[inside] = share
         return out
 
+    def point_share(self, place: np.ndarray) -> np.ndarray:
+        out = np.zeros(len(self.places_at_rest()))
+        out[self.body.nearest_free(place[None])] = 1.0
+        return out
+
     @cached_property
     def _source(self) -> np.ndarray:
         """(N,) free particle whose rest state each particle has.

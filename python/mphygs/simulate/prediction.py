@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from mphygs.capture.format import Capture
-from mphygs.capture.holds import Load
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import core_parameter_offsets, effect
@@ -95,7 +94,7 @@ class Predictor:
         largest rates of the linearised model, found by power iteration.
         """
         model = self.model_of(belief)
-        fields = primal(belief, self.body)
+        fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if "contact" in belief.effects:
             # Everything touches, without friction: at such depths it would brake without bound.
             first = core_parameter_offsets()["contact"]
@@ -157,8 +156,7 @@ class Predictor:
     def _lift(self, belief: Belief, name: str, timeline: Timeline) -> np.ndarray:
         """(F, N, 3) force per mass that undoes a point mass's weight, which a known load states [m/s^2]."""
         place = np.asarray(belief.term(name).settings["place"], float)
-        share = self.transfer.load_share(Load(np.array([place, place]), -belief.gravity, 0))
-        force = share[:, None] * -np.asarray(belief.gravity, float)
+        force = self.transfer.point_share(place)[:, None] * -np.asarray(belief.gravity, float)
         return np.repeat(force[None], len(timeline.moving), axis=0)
 
     def changes(

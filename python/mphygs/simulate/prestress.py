@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,11 +33,16 @@ class RestShape:
         self._coordinates: bytes | None = None
 
     def _prepare(self, belief: Belief) -> Belief:
+        """The solver made ready. Returns what of the belief acts at rest; all else, a wall say, asks for
+        no other solution."""
         rest = at_rest(belief)
         active = tuple(
             n
             for n in core_effects(rest)
             if n in STATIC_EFFECTS or effect(n).site == "volume" and n != "prestress"
+        )
+        rest = replace(
+            rest, terms=tuple(t for t in rest.terms if t.name in active or effect(t.name).site == "material")
         )
         spots = places(rest)
         key = (active, rest.law, spots.tobytes())
@@ -98,7 +104,7 @@ class RestShape:
     def tangent(self, belief: Belief, parameters: Sequence[Parameter]) -> list[dict[str, np.ndarray]]:
         """Derivatives of deformation0 and volume_ratio by the coordinates of parameters."""
         self.solve(belief)
-        rest = at_rest(belief)
+        rest = self._prepare(belief)
         fields = primal(rest, self._body)
         load = self._load(fields)
         zero = np.zeros((load.shape[0], 3))

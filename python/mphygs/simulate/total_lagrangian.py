@@ -60,6 +60,13 @@ class TotalLagrangian(Transfer):
         np.add.at(per_node, node.ravel(), (value * share[:, None]).ravel())
         return per_node
 
+    def point_share(self, place: np.ndarray) -> np.ndarray:
+        model = self._plain()
+        node, value, _ = model.weights(place[None], self.body.nearest_cell(place[None]))
+        per_node = np.zeros(model.node_count)
+        np.add.at(per_node, node.ravel(), value.ravel())
+        return per_node
+
     def prestressed(self, belief: Belief) -> dict[str, np.ndarray]:
         solution = self.rest_shape.solve(belief)
         volumes = self.body.quadrature.volumes

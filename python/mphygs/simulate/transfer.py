@@ -81,6 +81,10 @@ class Transfer(ABC):
         """(N,) share of a known load on every carrier."""
 
     @abstractmethod
+    def point_share(self, place: np.ndarray) -> np.ndarray:
+        """(N,) share of every carrier in what sits at a place (3,) [m], a point mass say."""
+
+    @abstractmethod
     def prestressed(self, belief: Belief) -> dict[str, np.ndarray]:
         """deformation0 and stress_volume of the stress-free state, by the belief's equilibrium."""
 

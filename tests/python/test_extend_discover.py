@@ -1,0 +1,374 @@
+"""The rules of the loop: where it looks, what it tries, what it keeps, what it concludes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from extend_example import (
+    SPACING,
+    assessment_of,
+    entry_of,
+    evaluation_of,
+    excess_of,
+    plain_belief,
+    solution_of,
+    step_of,
+)
+from mphygs.diagnose.rank import Entry, Ranking
+from mphygs.extend import discover
+from mphygs.extend.discover import promising, settled, tractable_window
+from mphygs.extend.step import Step
+from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.problem import Evaluation
+from mphygs.model.belief import Belief
+
+KEY = "part0.youngs_modulus"
+
+# ---- the window -------------------------------------------------------------------------------
+# The share of the frames that a belief was fitted to stands in its Young's modulus [MPa].
+Misfit = Callable[[float, float], float]
+
+
+def fitted_share(belief: Belief) -> float:
+    return belief[KEY].value / 1e6
+
+
+class Window:
+    """A problem on the first share of the frames."""
+
+    def __init__(self, misfit: Misfit, share: float, others: float | None) -> None:
+        self.misfit, self.share, self.others = misfit, share, others
+
+    def evaluate(self, belief: Belief) -> Evaluation:
+        ratio = self.misfit(fitted_share(belief), self.share)
+        found = evaluation_of(100.0 * ratio**2)
+        if self.others is None:
+            return found
+        # Half of the rows are a sequence's that is explained.
+        explained = np.full(100, self.others)
+        rows = {"easy": slice(0, 100), "a": slice(100, 200)}
+        return replace(found, residual=np.r_[explained, found.residual], data_rows=200, rows=rows)
+
+
+class Frames:
+    """An experiment whose misfit [sigma] over a share of the frames depends on the share fitted to."""
+
+    def __init__(self, misfit: Misfit, *, whole: tuple[str, ...] = (), others: float | None = None) -> None:
+        self.misfit, self.whole, self.others = misfit, whole, others
+
+    def window(self, spacing: float, share: float) -> Window:
+        assert spacing == SPACING
+        return Window(self.misfit, share, self.others)
+
+    def problem(self, spacing: float) -> Window:
+        return self.window(spacing, 1.0)
+
+
+@pytest.fixture
+def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Shares that were fitted to, in their order; a fit leaves its share in the belief."""
+    done: list[float] = []
+
+    def minimise(window: Window, start: Belief, **_: object) -> Solution:
+        done.append(window.share)
+        belief = start.with_parameter(KEY, value=1e6 * window.share)
+        return solution_of(belief, window.evaluate(belief))
+
+    monkeypatch.setattr(discover, "minimise", minimise)
+    monkeypatch.setattr(discover, "find_scale", lambda _window, belief: belief)
+    return done
+
+
+def look(experiment: Frames, *, added: tuple[str, ...] = ()) -> tuple[float, Solution]:
+    belief = plain_belief().with_parameter(KEY, value=1e6)
+    solution = solution_of(belief, experiment.problem(SPACING).evaluate(belief))
+    step = replace(step_of(assessment_of(9.0), added=added), belief=belief, solution=solution)
+    return tractable_window(experiment, step, SPACING, lambda _text: None)
+
+
+def ratio(solution: Solution) -> float:
+    return float(np.sqrt(solution.evaluation.chi_square / solution.evaluation.data_rows))
+
+
+def test_a_misfit_that_is_small_is_looked_at_over_all_frames(fits: list[float]) -> None:
+    share, solution = look(Frames(lambda _fitted, _seen: 3.9))
+    assert share == 1.0 and fitted_share(solution.belief) == 1.0 and fits == []
+
+
+def growing(per_share: float) -> Misfit:
+    return lambda _fitted, seen: max(1.0, per_share * seen)
+
+
+@pytest.mark.parametrize(
+    ("per_share", "expected"),
+    [(6.0, 0.25), (4.1, 0.4), (12.0, 0.25), (22.0, 0.16), (30.0, 0.1), (60.0, 0.06), (90.0, 0.06)],
+)
+def test_the_window_ends_where_the_misfit_is_visible_but_small(
+    per_share: float, expected: float, fits: list[float]
+) -> None:
+    share, solution = look(Frames(growing(per_share)))
+    assert share == fits[-1] == expected and fitted_share(solution.belief) == pytest.approx(share)
+
+
+def sets_in(at: float, steep: float = 40.0) -> Misfit:
+    """Something sets in at a share of the frames: a model of the frames before is right there, one fitted
+    beyond is wrong all over."""
+
+    def misfit(fitted: float, seen: float) -> float:
+        if fitted <= at:
+            return 1.0 + steep * max(seen - at, 0.0)
+        return 6.0
+
+    return misfit
+
+
+def test_what_sets_in_is_seen_from_the_model_of_the_frames_before(fits: list[float]) -> None:
+    # Within the frames half way between the last window without misfit and the next.
+    share, solution = look(Frames(sets_in(0.45)))
+    assert fits == [0.25, 0.4, 0.55] and share == pytest.approx(0.475)
+    assert fitted_share(solution.belief) == pytest.approx(0.4) and solution.reason == "seen from before"
+    assert ratio(solution) == pytest.approx(2.0)
+    # Behind them: over three quarters.
+    share, solution = look(Frames(sets_in(0.52)))
+    assert share == 0.75 and fitted_share(solution.belief) == pytest.approx(0.4)
+    assert ratio(solution) == pytest.approx(1.0 + 40.0 * 0.23)
+
+
+def test_what_sets_in_late_is_seen_over_all_frames(fits: list[float]) -> None:
+    share, solution = look(Frames(sets_in(0.8)))
+    assert fits == [0.25, 0.4, 0.55, 0.75] and share == 1.0
+    assert fitted_share(solution.belief) == pytest.approx(0.75)
+    assert ratio(solution) == pytest.approx(1.0 + 40.0 * 0.2)
+
+
+def test_what_sets_in_early_is_seen_from_the_few_frames_before(fits: list[float]) -> None:
+    # Half way between the first window without misfit and the shortest one with it.
+    share, solution = look(Frames(sets_in(0.18)))
+    assert fits == [0.25, 0.16] and share == pytest.approx(0.205)
+    assert fitted_share(solution.belief) == pytest.approx(0.16) and ratio(solution) == pytest.approx(2.0)
+    share, solution = look(Frames(sets_in(0.22)))
+    assert share == 0.25 and fitted_share(solution.belief) == pytest.approx(0.16)
+    assert ratio(solution) == pytest.approx(2.2)
+    share, solution = look(Frames(sets_in(0.12)))
+    assert fits[-2:] == [0.16, 0.1] and share == pytest.approx(0.13)
+    assert fitted_share(solution.belief) == pytest.approx(0.1)
+
+
+def test_a_model_with_an_effect_is_not_forgotten(fits: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    scaled: list[Belief] = []
+
+    def find_scale(_window: Window, belief: Belief) -> Belief:
+        scaled.append(belief)
+        return belief
+
+    monkeypatch.setattr(discover, "find_scale", find_scale)
+    look(Frames(growing(6.0)), added=("viscosity",))
+    assert scaled == []
+    look(Frames(growing(6.0)))
+    assert len(scaled) == 1
+
+
+def test_other_recordings_are_seen_from_the_model_of_the_simplest(fits: list[float]) -> None:
+    # The explained ones take no part in the misfit, be it the noise's own or more.
+    for others in (1.0, 30.0):
+        experiment = Frames(lambda _fitted, seen: 20.0 * seen, whole=("easy",), others=others)
+        share, solution = look(experiment, added=("viscosity",))
+        assert share == discover.SEEN and fitted_share(solution.belief) == 1.0
+        assert solution.reason == "seen from the simplest" and fits == []
+    # Nothing to be seen in their first frames: windows as usual.
+    experiment = Frames(lambda fitted, seen: sets_in(0.45)(fitted, seen) if fitted < 1 else 1.0 + 5.0 * (
+        seen > 0.9), whole=("easy",), others=1.0)  # fmt: skip
+    share, _ = look(experiment, added=("viscosity",))
+    assert share == pytest.approx(0.475) and fits[0] == 0.25
+
+
+def test_a_misfit_of_others_that_is_small_is_small_whatever_the_simplest_do(fits: list[float]) -> None:
+    experiment = Frames(lambda _fitted, _seen: 3.0, whole=("easy",), others=30.0)
+    assert look(experiment)[0] == 1.0
+
+
+def test_forgetting_puts_materials_at_the_middle_of_their_priors() -> None:
+    belief = plain_belief(2).with_parameter(KEY, prior_mean=float(np.log(2e5)), prior_std=1.0)
+    belief = belief.with_effect("viscosity", {"eta": 3.0})
+    found = discover.forget(belief)
+    assert found[KEY].value == pytest.approx(2e5)
+    # No prior, or no material: kept.
+    assert found["part0.density"] == belief["part0.density"]
+    assert found["viscosity.eta"].value == 3.0
+
+
+# ---- on from a window -------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("share", "kind", "shares"),
+    [
+        (1.0, "smooth", []),
+        (0.25, "smooth", [0.5, 1.0]),
+        (0.16, "smooth", [0.32, 0.64, 1.0]),
+        (0.55, "measurement", [1.0]),
+        (0.25, "threshold", [0.5, 0.75, 1.0]),
+        (0.1, "threshold", [0.2, 0.4, 0.7, 1.0]),
+        (0.475, "threshold", [0.7375, 1.0]),
+    ],
+)
+def test_a_motion_is_followed_from_the_window_to_all_frames(
+    share: float, kind: str, shares: list[float]
+) -> None:
+    assert discover._onward(share, kind) == pytest.approx(shares)
+
+
+# ---- what is tried ----------------------------------------------------------------------------
+def ranking_of(*entries: Entry, misfit: float = 10.0, decoy: float = 0.0) -> Ranking:
+    """A ranking at a misfit [sigma] of 1000 rows."""
+    return Ranking(entries, 1000.0 * misfit**2, 1000, None, None, decoy)
+
+
+def names(entries: list[Entry]) -> list[str]:
+    return [entry.effect for entry in entries]
+
+
+def test_only_what_is_significant_is_tried() -> None:
+    good = entry_of("viscosity", 500.0)
+    by_chance = entry_of("gravity", 400.0, p_value=2e-3)
+    weak = entry_of("wind", 15.0)
+    assert names(promising(ranking_of(good, by_chance, weak))) == ["viscosity"]
+    assert promising(ranking_of(by_chance, weak)) == [] and promising(ranking_of()) == []
+
+
+def test_so_many_are_begun_that_come_near_the_best() -> None:
+    many = [entry_of(f"effect{k}", 1000.0 - k) for k in range(9)]
+    assert promising(ranking_of(*many)) == many[: discover.BEGUN]
+    few = [entry_of("viscosity", 1000.0), entry_of("gravity", 101.0), entry_of("wind", 99.0)]
+    assert names(promising(ranking_of(*few))) == ["viscosity", "gravity"]
+
+
+def test_each_kind_gets_a_hearing() -> None:
+    many = [entry_of(f"effect{k}", 1000.0 - k) for k in range(9)]
+    wall = entry_of("contact", 30.0, kind="threshold")
+    fault = entry_of("time_offset", 19.0, kind="measurement")
+    later = entry_of("plasticity", 29.0, kind="threshold")
+    # The fault explains less than 2 % of what the best would.
+    found = promising(ranking_of(*many, wall, later, fault))
+    assert found == [*many[: discover.BEGUN], wall]
+    assert promising(ranking_of(*many, wall, replace(fault, statistic=21.0)))[-1].effect == "time_offset"
+    # One that is among the best already is not tried twice.
+    assert names(promising(ranking_of(many[0], replace(wall, statistic=900.0)))) == ["effect0", "contact"]
+
+
+def test_near_the_floor_only_what_explains_a_share_is_tried() -> None:
+    # 1.5 sigma: 1250 of chi^2 beyond noise, of which 15 % are 187.5.
+    entries = [entry_of("viscosity", 190.0), entry_of("gravity", 185.0)]
+    assert names(promising(ranking_of(*entries, misfit=1.5))) == ["viscosity"]
+    # Nor what explains less than an effect that does nothing.
+    assert promising(ranking_of(*entries, misfit=1.5, decoy=191.0)) == []
+    # Far from the data predictions are poor judges.
+    assert len(promising(ranking_of(*entries, misfit=2.1, decoy=191.0))) == 2
+
+
+# ---- what is kept -----------------------------------------------------------------------------
+def kept(
+    monkeypatch: pytest.MonkeyPatch,
+    best: Step,
+    *rivals: Step,
+    moved: Step | None = None,
+    grid: float = SPACING,
+    explained: bool = True,
+) -> Step:
+    """What `settled` keeps; grid: that the best one is brought to, explained there or not; moved: what a
+    rival becomes on it."""
+    asked: list[float] = []
+
+    def refined(_experiment: object, steps: list[Step], _report: object, *, screening: bool) -> Step:
+        assert screening and len(steps) == 2
+        return replace(steps[-1], spacing=grid) if grid != steps[-1].spacing else steps[-1]
+
+    def on_grid(_experiment: object, step: Step, spacing: float, _report: object) -> Step | None:
+        asked.append(spacing)
+        return moved
+
+    monkeypatch.setattr(discover, "refined", refined)
+    monkeypatch.setattr(discover, "on_grid", on_grid)
+    found = settled(None, [step_of(assessment_of(20.0))], best, rivals, None, screening=True)
+    assert set(asked) <= {grid}
+    return found
+
+
+def model(name: str, excess: float, free: int) -> Step:
+    return step_of(excess_of(excess), added=(name,), free=free)
+
+
+def test_of_models_that_do_alike_the_one_with_fewest_parameters_is_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    best, rival = model("fibre", 0.10, 3), model("viscosity", 0.12, 2)
+    found = kept(monkeypatch, replace(best, refits=("all",)), rival)
+    assert (found.added, found.ties) == (("viscosity",), ("fibre",))
+    assert found.refits == ("all",)
+    # As many parameters: the closer one.
+    found = kept(monkeypatch, best, replace(rival, belief=best.belief))
+    assert (found.added, found.ties) == (("fibre",), ("viscosity",))
+
+
+@pytest.mark.parametrize("more", [0, 1, 2])
+def test_every_parameter_more_has_to_pay(more: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    best = model("fibre", 0.40, 3)
+    limit = 0.40 / 0.8 + 0.02 * (1 + more)
+    within, beyond = (model("viscosity", limit + side, 3 - more) for side in (-1e-3, 1e-3))
+    found = kept(monkeypatch, best, within)
+    assert {found.added[0], *found.ties} == {"fibre", "viscosity"}
+    assert found.added == (("viscosity",) if more else ("fibre",))
+    found = kept(monkeypatch, best, beyond)
+    assert (found.added, found.ties) == (("fibre",), ())
+
+
+def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    # 0.8 x 0.5 - 0.02 = 0.38
+    best, clearly = model("fibre", 0.50, 2), model("viscosity", 0.37, 2)
+    found = kept(monkeypatch, best, model("wind", 0.49, 2), clearly)
+    assert found.added == ("viscosity",)
+    # What it beat is no tie unless it does alike: 0.37 / 0.8 + 0.02 = 0.4825.
+    assert found.ties == ()
+    found = kept(monkeypatch, best, model("wind", 0.48, 2), clearly)
+    assert (found.added, found.ties) == (("viscosity",), ("wind",))
+
+
+def test_rivals_are_compared_on_the_grid_of_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    best, rival = model("fibre", 0.10, 3), model("viscosity", 0.12, 2)
+    fine = 0.5 * SPACING
+    moved = replace(rival, assessment=excess_of(0.11), spacing=fine)
+    found = kept(monkeypatch, best, rival, moved=moved, grid=fine)
+    assert (found.added, found.ties, found.spacing) == (("viscosity",), ("fibre",), fine)
+    # One that cannot be simulated there is no rival.
+    assert kept(monkeypatch, best, rival, moved=None, grid=fine).ties == ()
+    # Where the best one is not explained on it, the others' work is saved.
+    far = replace(best, assessment=excess_of(3.0))
+    found = kept(monkeypatch, far, replace(rival, assessment=excess_of(3.1)), moved=moved, grid=fine)
+    assert (found.added, found.ties) == (("fibre",), ())
+
+
+# ---- what is concluded ------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("added", "ratio", "adequate", "verdict", "effects"),
+    [
+        ([()], 1.0, True, "adequate", ()),
+        # without an effect the practical floor is no excuse
+        ([()], 1.14, False, "unknown", ()),
+        ([(), ("viscosity",)], 1.14, False, "missing", ("viscosity",)),
+        ([(), ("viscosity",), ("gravity",)], 1.0, True, "missing", ("viscosity", "gravity")),
+        ([(), ("time_offset",)], 1.0, True, "measurement", ("time_offset",)),
+        ([(), ("marker_outliers",), ("viscosity",)], 1.0, True, "missing", ("marker_outliers", "viscosity")),
+        # however much it helped
+        ([(), ("viscosity",)], 1.16, False, "unknown", ()),
+    ],
+)
+def test_the_verdict(
+    added: list[tuple[str, ...]], ratio: float, adequate: bool, verdict: str, effects: tuple[str, ...]
+) -> None:
+    steps = [step_of(assessment_of(9.0), added=names) for names in added]
+    steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=adequate))
+    found = discover._conclude(steps, [], ["a warning"])
+    assert (found.verdict, found.effects) == (verdict, effects)
+    assert found.steps == tuple(steps) and found.warnings == ("a warning",)

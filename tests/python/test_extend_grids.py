@@ -1,0 +1,191 @@
+"""Which grid a model of the loop stands on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from extend_example import assessment_of, excess_of, recorded, step_of
+from mphygs.compare.assess import LARGEST_GRID_ERROR
+from mphygs.extend import grids
+from mphygs.extend.step import Step
+from mphygs.extend.steps import step_at
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.schedule import default_spacing, screening_spacing
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.prediction import Settings
+
+FREE = ("part0.youngs_modulus",)
+COARSE, FINE = 0.01, 0.0075
+
+
+@cache
+def scene() -> tuple[Experiment, Belief]:
+    """A bar recorded on the fine grid, and what is true of it."""
+    capture = bar_capture(frames=16, fps=100.0, fit=(0, 16))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=FREE)
+    return Experiment.of(recorded(capture, truth, FINE), Settings(COARSE, workers=1)), truth
+
+
+@cache
+def default() -> float:
+    """Spacing that the object is worth: about 250 cells of its 2 x 2 x 6.6 cm."""
+    return default_spacing(scene()[0].capture)
+
+
+def test_spacings_are_those_of_250_cells() -> None:
+    assert default() == pytest.approx((0.066 * 0.02 * 0.02 / 250.0) ** (1.0 / 3.0), rel=0.01)
+    assert screening_spacing(scene()[0].capture) == pytest.approx(1.7 * default(), rel=1e-3)
+
+
+# ---- the next spacing -------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("ratios", "added", "factor", "asked"),
+    [
+        # gross, nothing added: the coarse grid will do
+        ((10.0, 9.0), (), 1.7, False),
+        # a misfit that could be the grid's own
+        ((10.0, 2.9), (), 1.7, True),
+        ((10.0, 3.1), (), 1.7, False),
+        # an effect that left little of the first model's misfit, gross as it is
+        ((20.0, 5.0), ("viscosity",), 1.7, True),
+        ((20.0, 5.0), (), 1.7, False),
+        ((20.0, 9.0), ("viscosity",), 1.7, False),
+        # fine already
+        ((10.0, 2.0), ("viscosity",), 1.05, False),
+    ],
+)
+def test_the_default_grid_is_asked_where_the_misfit_may_be_the_grids_own(
+    ratios: tuple[float, float], added: tuple[str, ...], factor: float, asked: bool
+) -> None:
+    first, last = (step_of(assessment_of(r), spacing=factor * default()) for r in ratios)
+    found = grids.next_spacing(scene()[0], [first, replace(last, added=added)])
+    assert found == (default() if asked else None)
+
+
+def test_the_first_model_is_asked_again_as_well() -> None:
+    only = step_of(assessment_of(2.0), spacing=1.7 * default())
+    assert grids.next_spacing(scene()[0], [only]) == default()
+    assert grids.next_spacing(scene()[0], [replace(only, assessment=assessment_of(8.0))]) is None
+
+
+# ---- another grid -----------------------------------------------------------------------------
+def test_a_step_is_refitted_on_another_grid() -> None:
+    experiment, truth = scene()
+    before = step_at(experiment, truth.with_parameter(FREE[0], value=7e4), COARSE, added=("viscosity",))
+    said: list[str] = []
+    after = grids.on_grid(experiment, before, FINE, said.append)
+    assert (after.spacing, after.added, after.refits) == (FINE, ("viscosity",), before.refits)
+    assert after.belief[FREE[0]].value == pytest.approx(6e4, rel=0.01)
+    assert after.solution.belief is after.belief
+    assert after.assessment.worst < 1.2 < before.assessment.worst
+    assert after.assessment.ratio == experiment.assess(experiment.compare(after.belief, FINE)).ratio
+    assert "7.5 mm" in said[0] and "->" in said[-1]
+
+
+def test_no_step_where_another_grid_cannot_carry_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, truth = scene()
+
+    def unstable(*_: object, **__: object) -> None:
+        raise SimulationError("unstable at frame 3")
+
+    said: list[str] = []
+    before = step_at(experiment, truth, COARSE)
+    monkeypatch.setattr(grids, "minimise", unstable)
+    assert grids.on_grid(experiment, before, FINE, said.append) is None
+    assert said[-1] == "grid of 7.5 mm: unstable at frame 3"
+    refined = grids.refined(experiment, [replace(before, spacing=1.7 * default())], None, screening=True)
+    assert refined.spacing == 1.7 * default()
+
+
+def test_the_budget_says_how_much_is_the_grids_own() -> None:
+    experiment, truth = scene()
+    plain = step_at(experiment, truth, COARSE)
+    assert plain.assessment.budget["discretisation"] == 0.0
+    known = grids.with_budget(experiment, plain)
+    budget = known.assessment.budget
+    # The misfit is the grid's alone: the model is the truth.
+    assert budget["discretisation"] > 0.5 * (budget["discretisation"] + budget["physics"])
+    assert known.belief is plain.belief and known.assessment.ratio == plain.assessment.ratio
+
+
+# ---- what is done with a step -----------------------------------------------------------------
+@cache
+def steps_told() -> tuple[float, float]:
+    return 1.7 * default(), default()
+
+
+def told(monkeypatch: pytest.MonkeyPatch, step: Step, *, screening: bool, after: Step | None = None) -> list:
+    """What `refined` does with a step: ("grid", spacing) and "budget"; after: the step on the finer grid."""
+    done: list = []
+
+    def on_grid(_experiment: object, _step: Step, spacing: float, _report: object) -> Step | None:
+        done.append(("grid", spacing))
+        return after
+
+    def with_budget(_experiment: object, one: Step, _report: object) -> Step:
+        done.append("budget")
+        return one
+
+    monkeypatch.setattr(grids, "on_grid", on_grid)
+    monkeypatch.setattr(grids, "with_budget", with_budget)
+    found = grids.refined(scene()[0], [step], None, screening=screening)
+    assert found is (after if ("grid", default()) in done and after is not None else step)
+    return done
+
+
+def test_only_a_grid_for_screening_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    coarse, fine = steps_told()
+    near = step_of(assessment_of(2.0), spacing=coarse)
+    moved = step_of(assessment_of(1.5), spacing=fine)
+    assert told(monkeypatch, near, screening=True, after=moved) == [("grid", fine), "budget"]
+    # A spacing that was asked for stays; its budget is told there.
+    assert told(monkeypatch, near, screening=False) == ["budget"]
+    # Explained on the finer grid: nothing is left to be shared out.
+    done = replace(moved, assessment=assessment_of(1.0, adequate=True))
+    assert told(monkeypatch, near, screening=True, after=done) == [("grid", fine)]
+    # Where the finer grid cannot carry it, the coarse one's error is no budget for the default grid.
+    assert told(monkeypatch, near, screening=True, after=None) == [("grid", fine)]
+
+
+def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    coarse, fine = steps_told()
+    explained = step_of(assessment_of(1.0, adequate=True), spacing=coarse)
+    assert told(monkeypatch, explained, screening=True) == []
+    assert told(monkeypatch, replace(explained, spacing=fine), screening=True) == []
+    enough = step_of(assessment_of(1.12), added=("viscosity",), spacing=coarse)
+    assert told(monkeypatch, enough, screening=True) == []
+    far = step_of(assessment_of(LARGEST_GRID_ERROR + 0.1), spacing=fine)
+    assert told(monkeypatch, far, screening=False) == []
+    assert told(monkeypatch, replace(far, assessment=assessment_of(4.0)), screening=False) == ["budget"]
+
+
+# ---- the grid for a search --------------------------------------------------------------------
+def probe(monkeypatch: pytest.MonkeyPatch, fine: Step, coarse: Step | None) -> Step:
+    monkeypatch.setattr(grids, "on_grid", lambda _e, _s, spacing, _r: coarse)
+    return grids.probed(scene()[0], fine, 1.7 * default())
+
+
+def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    coarse, fine = steps_told()
+    here = step_of(assessment_of(3.0, 1.0), spacing=fine)
+    alike = step_of(assessment_of(1.0, 3.8), spacing=coarse)
+    assert probe(monkeypatch, here, alike) is alike
+    assert probe(monkeypatch, here, replace(alike, assessment=assessment_of(4.0))) is here
+    assert probe(monkeypatch, here, None) is here
+    # On that grid already: nothing is computed.
+    there = replace(here, spacing=coarse)
+    assert probe(monkeypatch, there, alike) is there
+
+
+def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None:
+    assert grids.excess(assessment_of(2.0, 0.5)) == pytest.approx(1.5)
+    assert grids.excess(excess_of(0.3)) == pytest.approx(0.3)
+    assert np.isclose(grids.excess(assessment_of(1.0)), 0.0)

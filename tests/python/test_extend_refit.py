@@ -1,0 +1,203 @@
+"""When an effect that was refitted pays, and when a refit is given up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from extend_example import SPACING, entry_of, recorded, refit_of
+from mphygs.capture.format import Capture
+from mphygs.compare.assess import Compared
+from mphygs.diagnose.held_out import GainInterval
+from mphygs.diagnose.rank import Entry
+from mphygs.extend import refit
+from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.prediction import Settings
+
+FREE = ("part0.youngs_modulus",)
+ETA = 40.0
+
+
+# ---- whether it pays --------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("low", "gain", "left", "pays"),
+    [
+        # the whole interval above zero
+        (0.1, 5.0, 0.9, True),
+        # a gain that no interval is sure of: only where most of the misfit is explained
+        (-3.0, 5.0, 0.20, True),
+        (-3.0, 5.0, 0.30, False),
+        # no gain on unseen frames, however much of the fitted ones is explained
+        (-3.0, -1.0, 0.01, False),
+        (-3.0, 0.0, 0.01, False),
+    ],
+)
+def test_an_effect_pays_on_unseen_frames(low: float, gain: float, left: float, pays: bool) -> None:
+    chi_square, before = 1000.0 * left, 1000.0
+    found = refit_of(gain=GainInterval(gain, low, 9.0, 6), chi_square=chi_square, drop=before - chi_square)
+    assert found.pays is pays
+
+
+def test_without_unseen_frames_the_drop_decides() -> None:
+    assert refit_of(gain=None, drop=21.0).pays and not refit_of(gain=None, drop=20.0).pays
+
+
+def test_a_drop_unlike_the_predicted_one_surprises() -> None:
+    for drop, surprising in ((49.0, True), (51.0, False), (199.0, False), (201.0, True)):
+        assert refit_of(gain=None, statistic=100.0, drop=drop).surprising is surprising
+
+
+# ---- which recordings judge -------------------------------------------------------------------
+def test_what_only_some_recordings_have_is_judged_by_those() -> None:
+    belief = bar_belief(bar_capture())
+    settings = {"place": [0.05, 0.01, 0.01], "sequences": ["b", "c"]}
+    heavy = belief.with_effect("attached_mass", {"m": 1e-3}, settings).with_effect("viscosity")
+    compared = dict.fromkeys("abc")
+    assert list(refit._in_scope(compared, heavy, "attached_mass")) == ["b", "c"]
+    assert refit._in_scope(compared, heavy, "viscosity") == compared
+    # A fault that is no term of the model is one of all.
+    assert refit._in_scope(compared, heavy, "marker_outliers") == compared
+
+
+# ---- a bar that lacks viscosity ---------------------------------------------------------------
+@cache
+def scene() -> tuple[Experiment, Solution, Entry, Capture]:
+    """A viscous bar, the elastic model fitted to it, and what the ranking would say of viscosity."""
+    capture = bar_capture(frames=40, fps=100.0, fit=(0, 24))
+    sequence = replace(capture.sequence("a"), predict=(24, 40))
+    capture = replace(capture, sequences=(sequence,))
+    plain = bar_belief(capture, youngs_modulus=6e4, free=FREE)
+    capture = recorded(capture, plain.with_effect("viscosity", {"eta": ETA}))
+    experiment = Experiment.of(capture, Settings(SPACING, workers=1))
+    before = minimise(experiment.problem(SPACING), plain)
+    start = before.belief.with_effect("viscosity", {"eta": 0.15 * ETA})
+    return experiment, before, entry_of("viscosity", 1000.0, start=start), capture
+
+
+def begun(
+    *, hopeless: float = math.inf, iterations: int = 4, entry: Entry | None = None, share: float = 1.0
+) -> tuple[Solution | None, list[str]]:
+    experiment, before, usual, _ = scene()
+    said: list[str] = []
+    found = start_refit(
+        experiment, before, entry or usual, SPACING,
+        share=share, iterations=iterations, hopeless=hopeless, report=said.append,
+    )  # fmt: skip
+    return found, said
+
+
+@pytest.mark.parametrize(("estimate", "strength"), [(0.4, 2.0), (1.0, 1.0), (2.5, 0.5)])
+def test_a_refit_begins_at_the_strength_that_fits_best(
+    estimate: float, strength: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = []
+
+    def first(_problem: object, start: Belief, **_: object) -> None:
+        started.append(start["viscosity.eta"].value)
+        raise SimulationError("only the start is asked for")
+
+    monkeypatch.setattr(refit, "minimise", first)
+    start = scene()[1].belief.with_effect("viscosity", {"eta": estimate * ETA})
+    assert begun(entry=entry_of("viscosity", 1000.0, start=start)) == (None, [])
+    assert started == [pytest.approx(strength * estimate * ETA)]
+
+
+def test_a_refit_finds_its_effect() -> None:
+    _, before, entry, _ = scene()
+    solution, said = begun()
+    assert solution.evaluation.chi_square < 0.1 * before.evaluation.chi_square
+    assert solution.belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.1)
+    assert "with viscosity" in said[0] and not said[0].endswith("after 1 iterations")
+    # Strengths that cannot be negative are fitted in their logarithm.
+    assert solution.belief["viscosity.eta"].log and not entry.start["viscosity.eta"].log
+
+
+def test_a_hopeless_refit_ends_after_its_first_iteration() -> None:
+    once, _ = begun(iterations=1)
+    first = once.evaluation.chi_square
+    solution, said = begun(hopeless=0.9 * first)
+    assert said[0].endswith("after 1 iterations")
+    assert solution.evaluation.chi_square == pytest.approx(first)
+    going_on, said = begun(hopeless=1.1 * first)
+    assert not said[0].endswith("after 1 iterations")
+    assert going_on.evaluation.chi_square < first
+
+
+def test_a_refit_of_a_window_looks_at_its_frames_alone() -> None:
+    solution, _ = begun(share=0.5, iterations=1)
+    rows = solution.evaluation.data_rows
+    assert rows == scene()[1].evaluation.data_rows // 2
+
+
+def test_no_refit_where_the_model_cannot_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, before, _, _ = scene()
+    problem = type(experiment.problem(SPACING))
+
+    def unstable(*_: object, **__: object) -> None:
+        raise SimulationError("unstable")
+
+    monkeypatch.setattr(problem, "evaluate", unstable)
+    assert begun() == (None, [])
+
+
+def test_a_refit_is_finished_and_judged_on_unseen_frames() -> None:
+    experiment, before, entry, _ = scene()
+    solution, _ = begun(iterations=1)
+    compared = experiment.compare(before.belief, SPACING)
+
+    def finish(hopeless: float) -> refit.Refit | None:
+        return finish_refit(
+            experiment, before, compared, entry, solution, SPACING,
+            generator=np.random.default_rng(0), hopeless=hopeless,
+        )  # fmt: skip
+
+    found = finish(math.inf)
+    assert found.pays and found.gain.accepted and found.assessment.worst < 1.15
+    assert found.belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.05)
+    after = found.solution.evaluation.chi_square
+    assert found.actual_drop == pytest.approx(before.evaluation.chi_square - after)
+    assert finish(0.9 * after) is None
+
+
+# ---- the gain on unseen frames ----------------------------------------------------------------
+def offset(compared: dict[str, Compared], seen: float, unseen: float) -> dict[str, Compared]:
+    """The comparison with predictions off by these [m] in fitted frames and in the others."""
+    out = {}
+    for name, item in compared.items():
+        predicted = item.observation.position.copy()
+        predicted[slice(*item.fit)] += seen
+        predicted[slice(*item.predict)] += unseen
+        out[name] = replace(item, predicted=predicted)
+    return out
+
+
+def truth_compared() -> tuple[dict[str, Compared], Belief]:
+    experiment, before, _, _ = scene()
+    return experiment.compare(before.belief, SPACING, jacobian=False), before.belief
+
+
+def test_the_gain_counts_unseen_frames_alone() -> None:
+    compared, _ = truth_compared()
+    sigma = compared["a"].observation.sigma
+    before, after = offset(compared, 0.0, 2.0 * sigma), offset(compared, 5.0 * sigma, sigma)
+    gain = unseen_gain(before, after, np.random.default_rng(0))
+    count = 16 * 4 * 3
+    assert gain.gain == pytest.approx(0.5 * (4.0 - 1.0) * count, rel=1e-6)
+    # The same gain in every frame: nothing for the bootstrap to vary, and blocks enough of two frames each.
+    assert gain.block_count == 8 and gain.low == pytest.approx(gain.gain) and gain.accepted
+
+
+def test_no_gain_where_too_few_frames_were_left_out() -> None:
+    compared, _ = truth_compared()
+    for predict in ((0, 0), (24, 30)):
+        few = {name: replace(item, predict=predict) for name, item in compared.items()}
+        assert unseen_gain(few, few, np.random.default_rng(0)) is None
