@@ -21,6 +21,7 @@ from extend_example import (
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend import discover
 from mphygs.extend.discover import promising, settled, tractable_window
+from mphygs.extend.grids import onward
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
@@ -217,7 +218,7 @@ def test_forgetting_puts_materials_at_the_middle_of_their_priors() -> None:
 def test_a_motion_is_followed_from_the_window_to_all_frames(
     share: float, kind: str, shares: list[float]
 ) -> None:
-    assert discover._onward(share, kind) == pytest.approx(shares)
+    assert onward(share, kind) == pytest.approx(shares)
 
 
 # ---- what is tried ----------------------------------------------------------------------------
@@ -262,10 +263,13 @@ def test_near_the_floor_only_what_explains_a_share_is_tried() -> None:
     # 1.5 sigma: 1250 of chi^2 beyond noise, of which 15 % are 187.5.
     entries = [entry_of("viscosity", 190.0), entry_of("gravity", 185.0)]
     assert names(promising(ranking_of(*entries, misfit=1.5))) == ["viscosity"]
-    # Nor what explains less than an effect that does nothing.
-    assert promising(ranking_of(*entries, misfit=1.5, decoy=191.0)) == []
+    # Nor what explains less than an effect that does nothing, unless it is near the best.
+    entries = [entry_of("viscosity", 600.0), entry_of("gravity", 310.0), entry_of("wind", 290.0)]
+    assert len(promising(ranking_of(*entries, misfit=1.5))) == 3
+    assert names(promising(ranking_of(*entries, misfit=1.5, decoy=700.0))) == ["viscosity", "gravity"]
+    assert len(promising(ranking_of(*entries, misfit=1.5, decoy=280.0))) == 3
     # Far from the data predictions are poor judges.
-    assert len(promising(ranking_of(*entries, misfit=2.1, decoy=191.0))) == 2
+    assert len(promising(ranking_of(*entries, misfit=2.1, decoy=700.0))) == 3
 
 
 # ---- what is kept -----------------------------------------------------------------------------
