@@ -312,16 +312,9 @@ def _trials(
     observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
     if names is None or "contact" in names:
-        workers = experiment.settings.workers
-        planes = search(problem, observation, belief, evaluation, workers=workers, report=report)
-        whole = experiment.problem(problem.settings.spacing)
-        if not planes and "contact" not in belief.effects and whole.ranges[name][1] > last:
-            # Over a short window the materials make room for a wall: they do not later on.
-            try:
-                later = whole.evaluate(belief, jacobian=False)
-                planes = search(whole, observation, belief, later, workers=workers, report=report)
-            except SimulationError:
-                planes = []
+        planes = search(
+            problem, observation, belief, evaluation, workers=experiment.settings.workers, report=report
+        )
         groups["contact"] = [Trial("contact", plane.label, with_wall(belief, plane)) for plane in planes]
     if names is None or "plasticity" in names:
         groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
