@@ -158,7 +158,7 @@ def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyP
     explained = step_of(assessment_of(1.0, adequate=True), spacing=coarse)
     assert told(monkeypatch, explained, screening=True) == []
     assert told(monkeypatch, replace(explained, spacing=fine), screening=True) == []
-    enough = step_of(assessment_of(1.12), added=("viscosity",), spacing=coarse)
+    enough = step_of(assessment_of(1.08), added=("viscosity",), spacing=coarse)
     assert told(monkeypatch, enough, screening=True) == []
     far = step_of(assessment_of(LARGEST_GRID_ERROR + 0.1), spacing=fine)
     assert told(monkeypatch, far, screening=False) == []

@@ -16,8 +16,8 @@ from mphygs.compare.verdict_floor import Floor, floor_test
 # Two bodies discretised differently agree to a few tenths of a standard deviation at best: a misfit of
 # this many sigma, everywhere, is no reason to doubt the physics (spec: 1.1, of which noise is 1).
 PRACTICAL_FLOOR = 1.1
-# Where a refinement has shown the discretisation's share: what neither it nor noise covers is no more than
-# this many sigma, noise included, and the misfit no more than the second number.
+# Where a refinement has shown the discretisation's share: what it does not cover is, in every range, no more
+# than this many sigma, noise included, and the misfit no more than the second number.
 BUDGET_FLOOR, LARGEST_GRID_ERROR = 1.15, 5.0
 # Cosines over time by which the discretisation's error may differ from the change under refinement.
 MODULATIONS = 6
@@ -170,10 +170,14 @@ def assess(
     found = ratios(whitened)
     worst = max(v for ranges in found.values() for v in ranges.values())
     sigma = float(np.sqrt(np.mean([c.observation.sigma**2 for c in compared.values()])))
-    budget = _budget(whitened, sigma)
-    # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics.
-    beyond = np.hypot(1.0, budget["physics"] / budget["noise"])
-    own = np.any(whitened.refinement) and beyond <= BUDGET_FLOOR and worst < LARGEST_GRID_ERROR
+    share = _grid_share(whitened)
+    budget = _budget(whitened, share, sigma)
+    # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
+    # range: fitted frames may not pay for what unseen ones show.
+    beyond = [
+        float(np.mean(whitened.residual[rows] ** 2) - np.mean(share[rows] ** 2)) for rows in _ranges(whitened)
+    ]
+    own = np.any(whitened.refinement) and max(beyond) <= BUDGET_FLOOR**2 and worst < LARGEST_GRID_ERROR
     return Assessment(
         adequate=bool(worst <= PRACTICAL_FLOOR or (floor.reached and worst <= 1.5 * PRACTICAL_FLOOR) or own),
         p_value=floor.p_value,
@@ -227,17 +231,30 @@ def _when(whitened: Whitened, sigma: float, length: int) -> list[dict]:
     return sorted(found, key=lambda item: -item["rms"])
 
 
-def _budget(whitened: Whitened, sigma: float) -> dict[str, float]:
-    """Root mean squares over markers of the three shares [m]: they add in squares to the misfit.
+def _ranges(whitened: Whitened) -> list[np.ndarray]:
+    """Rows of every sequence's fitted and unseen frames, (N,) bool each."""
+    found = []
+    for number in range(len(whitened.names)):
+        mine = whitened.sequence == number
+        found += [rows for rows in (mine & whitened.seen, mine & ~whitened.seen) if rows.any()]
+    return found
 
-    The discretisation's share is the change under refinement less what refitting absorbs; what neither it
-    nor noise covers is physics.
-    """
-    total = float(np.mean(whitened.residual**2))
+
+def _grid_share(whitened: Whitened) -> np.ndarray:
+    """(N,) the change under refinement less what refitting absorbs."""
     share = whitened.refinement
     if np.any(share) and whitened.jacobian.shape[1]:
         solution = np.linalg.lstsq(whitened.jacobian, share, rcond=1e-10)[0]
         share = share - whitened.jacobian @ solution
+    return share
+
+
+def _budget(whitened: Whitened, share: np.ndarray, sigma: float) -> dict[str, float]:
+    """Root mean squares over markers of the three shares [m]: they add in squares to the misfit.
+
+    What neither the discretisation's share, (N,), nor noise covers is physics.
+    """
+    total = float(np.mean(whitened.residual**2))
     discretisation = min(float(np.mean(share**2)), max(total - 1.0, 0.0))
     physics = max(total - 1.0 - discretisation, 0.0)
     scale = sigma * np.sqrt(3.0)

@@ -29,6 +29,8 @@ MODULATIONS = 6
 # Effects that do nothing, scored beside the candidates.
 DECOYS = 20
 FREQUENCIES = 2
+# Periods in the frames that are too few for the misfit's spectrum to show.
+SLOW = (0.7, 1.4)
 # A trial of a smooth effect stands for it where its drop of chi^2 is this share of what tangents promise:
 # far from the data they promise much.
 TRIAL_WINS = 0.2
@@ -173,7 +175,8 @@ def rank(
             for n, (a, b) in problem.ranges.items()
         }
         fps = experiment.capture.sequence(first_name).fps
-        ways += base_motion_ways(belief, _peaks(misfits[first_name], fps, FREQUENCIES))
+        slow = [share * fps / len(misfits[first_name]) for share in SLOW]
+        ways += base_motion_ways(belief, [*_peaks(misfits[first_name], fps, FREQUENCIES), *slow])
     # Decoys draw numbers of their own: the rest is the same with and without them.
     tangents, fakes = _stack(experiment, problem, belief, ways, report, generator.spawn(1)[0])
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])

@@ -34,8 +34,9 @@ BEGUN, FINISHED = 7, 3
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
-# Below this misfit [sigma] an effect is tried only where it is predicted to take this share of the excess.
-LINEAR, WORTH_A_REFIT = 2.0, 0.15
+# Below this misfit [sigma] an effect is tried only where it is predicted to take this share of the excess,
+# and, short of this share of what the best takes, more than effects that do nothing.
+LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
 # An effect that leaves so many times the best one's chi^2 after an iteration is not followed.
 HOPELESS = 10.0
 # Refits over a window within this factor of the best chi^2 are continued on all frames.
@@ -203,9 +204,9 @@ def promising(ranking: Ranking) -> list[Entry]:
     good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
     if ranking.chi_square < LINEAR**2 * ranking.rows:
         beyond = ranking.chi_square - ranking.rows
-        # Smooth decoys do as well as most effects do before a refit: they never exclude the better half.
+        # Smooth decoys do as well as most effects before a refit: they exclude none that is near the best.
         most = good[0].statistic if good else 0.0
-        floor = max(WORTH_A_REFIT * beyond, min(ranking.decoy_statistic, 0.5 * most))
+        floor = max(WORTH_A_REFIT * beyond, min(ranking.decoy_statistic, NEAR_BEST * most))
         good = [e for e in good if e.statistic > floor]
     if not good:
         return []

@@ -12,7 +12,7 @@ from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.model.belief import Belief
 
 # The error counts as explained below this many sigma on every range.
-EXPLAINED = 1.15
+EXPLAINED = 1.1
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,60 @@
+"""What the grid's own error excuses, and what it does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from extend_example import recorded
+from mphygs.compare.assess import BUDGET_FLOOR, Assessment
+from mphygs.fit.experiment import Experiment
+from mphygs.simulate.prediction import Settings
+
+SPACING, FRAMES, SPLIT = 0.01, 24, 12
+
+
+def assessed(fit: tuple[float, float], predict: tuple[float, float]) -> Assessment:
+    """Misfit beyond noise and the grid's share [sigma] of the fitted and of the unseen frames.
+
+    The two have nothing to do with each other but their size.
+    """
+    capture = bar_capture(frames=FRAMES, fps=100.0, fit=(0, SPLIT))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=())
+    experiment = Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1))
+    name, item = next(iter(experiment.compare(truth, SPACING).items()))
+    draw, shape = np.random.default_rng(3), item.observation.position.shape
+    sigma = item.observation.sigma
+    levels = np.where(np.arange(FRAMES)[:, None] < SPLIT, fit, predict)
+    size = levels[..., None, None] * sigma
+    signs = draw.choice([-1.0, 1.0], (2, *shape))
+    noise = sigma * draw.standard_normal(shape)
+    wrong = replace(
+        item,
+        predicted=item.observation.position - noise - size[:, 0] * signs[0],
+        refinement=size[:, 1] * signs[1],
+        fit=(0, SPLIT),
+        predict=(SPLIT, FRAMES),
+    )
+    return experiment.assess({name: wrong})
+
+
+def test_what_the_grid_moves_as_much_is_its_own() -> None:
+    assert assessed((2.0, 2.4), (3.0, 3.3)).adequate
+    assert not assessed((2.0, 1.0), (3.0, 1.0)).adequate
+    assert not assessed((2.0, 0.0), (3.0, 0.0)).adequate
+
+
+def test_fitted_frames_do_not_pay_for_unseen_ones() -> None:
+    found = assessed((1.5, 3.0), (1.5, 0.2))
+    # as a whole the grid's share covers the misfit
+    assert np.hypot(1.0, found.budget["physics"] / found.budget["noise"]) < BUDGET_FLOOR
+    assert not found.adequate
+
+
+def test_shares_add_to_the_misfit_in_squares() -> None:
+    found = assessed((2.0, 1.0), (2.0, 1.0))
+    shares = [found.budget[name] / found.budget["noise"] for name in ("noise", "discretisation", "physics")]
+    assert shares == pytest.approx([1.0, 1.0, np.sqrt(3.0)], rel=0.05)
