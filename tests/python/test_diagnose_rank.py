@@ -95,6 +95,28 @@ def test_a_hanging_weights_inertia_is_found_by_trial() -> None:
     assert found.chi_square == pytest.approx(fitted.evaluation.chi_square)
 
 
+def test_thresholds_alone_can_be_ranked() -> None:
+    found = ranked("plasticity")
+    assert [(entry.effect, entry.kind) for entry in found.entries] == [("plasticity", "threshold")]
+    assert found.entries[0].label.startswith("yield stress")
+    assert ranked("contact", "plasticity").entries[-1].kind == "threshold"
+
+
+def test_smooth_effects_that_the_motion_cannot_test_are_said_to_be_so() -> None:
+    # Nothing moves: neither a viscosity nor a drag does anything.
+    capture = bar_capture(frames=8, gravity=np.zeros(3), fit=(0, 8))
+    belief = bar_belief(capture, free=FREE)
+    experiment = Experiment.of(recorded(capture, belief), Settings(SPACING, workers=1))
+    evaluation = experiment.problem(SPACING).evaluate(belief)
+    found = rank(
+        experiment, belief, evaluation, SPACING,
+        generator=np.random.default_rng(0), names=("viscosity", "mass_damping"),
+    )  # fmt: skip
+    assert {entry.effect for entry in found.entries} == {"viscosity", "mass_damping"}
+    for entry in found.entries:
+        assert entry.reason and (entry.p_value, entry.statistic, entry.estimate) == (1.0, 0.0, {})
+
+
 def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("search", "plasticity_trials", "hung_trials"):
         monkeypatch.setattr(ranking, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
