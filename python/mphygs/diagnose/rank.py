@@ -193,7 +193,9 @@ def rank(
         padded = np.vstack([known.directions, np.zeros((len(prior), known.directions.shape[1]))])
         known = Allowance(directions=padded)
     table = score_candidates(full_residual, full_jacobian, candidates, generator=generator, allowance=known)
-    family = simulate_family(table, generator=generator)
+    # Where only thresholds are asked for, or nothing smooth can be told, there is no family.
+    testable = any(score.testable for score in table.scores)
+    family = simulate_family(table, generator=generator) if testable else None
     decoys, decoy_statistic = _decoys(full_residual, full_jacobian, fakes, known, generator.spawn(1)[0])
     best: dict[str, tuple[Way, Score]] = {}
     for way, score in zip(ways, table.scores, strict=True):

@@ -1,0 +1,123 @@
+"""The ranking's entries: by tangents or by trial, and the trials of a recorded object."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from extend_example import SPACING, entry_of, recorded
+from mphygs.capture.holds import Load
+from mphygs.diagnose import rank as ranking
+from mphygs.diagnose.rank import Entry, rank
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.placement import masses_of_loads
+from mphygs.simulate.prediction import Settings
+
+MASS = 6e-3  # [kg], of a bar of 26 g
+HUNG = Load(np.array([[0.05, 0.0, 0.0], [0.06, 0.02, 0.02]]), np.array([0.0, 0.0, -9.81 * MASS]), 0)
+FREE = ("part0.youngs_modulus",)
+
+
+def together(entries: list[Entry], trials: list[Entry]) -> list[Entry]:
+    return ranking._with_trials(entries, trials)
+
+
+# ---- one entry for every effect ---------------------------------------------------------------
+def test_a_trial_stands_for_its_effect_where_it_holds_its_own() -> None:
+    tangent = entry_of("attached_mass", 1000.0)
+    trial = replace(entry_of("attached_mass", 201.0), label="of a load")
+    assert together([tangent], [trial]) == [trial]
+    poor = replace(trial, statistic=199.0)
+    assert together([tangent], [poor]) == [tangent]
+    better = replace(trial, statistic=5000.0)
+    assert together([tangent], [better]) == [better]
+
+
+def test_effects_of_one_kind_alone_are_kept_as_they_are() -> None:
+    viscosity, mass = entry_of("viscosity", 300.0), entry_of("attached_mass", 100.0)
+    wall = entry_of("contact", 50.0, kind="threshold")
+    trial = replace(mass, label="of a load", statistic=10.0)
+    assert together([viscosity, mass], [wall, trial]) == [viscosity, mass, wall]
+    assert together([viscosity, mass], []) == [viscosity, mass]
+    assert together([], [wall, trial]) == [wall, trial]
+
+
+def test_a_trial_counts_where_no_tangent_can_be_told() -> None:
+    blind, trial = entry_of("attached_mass", 0.0), replace(entry_of("attached_mass", 40.0), label="of a load")
+    assert together([blind], [trial]) == [trial]
+
+
+# ---- a weight that hangs ----------------------------------------------------------------------
+@cache
+def scene() -> tuple[Experiment, Solution]:
+    """Two recordings of a shaken bar, one with a weight; the model fitted to them knows its pull alone."""
+    frames = 24
+    shake = 0.006 * np.sin(np.linspace(0.0, 9.0, frames))[:, None] * [0.3, 1.0, 0.0]
+    capture = bar_capture(frames=frames, fps=60.0, rest="equilibrium", motion=shake, fit=(0, frames))
+    plain = capture.sequence("a")
+    capture = replace(capture, sequences=(plain, replace(plain, name="b", loads=(HUNG,))))
+    belief = bar_belief(capture, youngs_modulus=8e4, prestress="equilibrium", free=FREE)
+    weight = masses_of_loads(capture, ["a", "b"])[0]
+    capture = recorded(capture, belief.with_effect("attached_mass", {"m": MASS}, weight))
+    experiment = Experiment.of(capture, Settings(SPACING, workers=1))
+    return experiment, minimise(experiment.problem(SPACING), belief)
+
+
+def ranked(*names: str) -> ranking.Ranking:
+    experiment, fitted = scene()
+    return rank(
+        experiment, fitted.belief, fitted.evaluation, SPACING,
+        generator=np.random.default_rng(0), names=names,
+    )  # fmt: skip
+
+
+def test_a_hanging_weights_inertia_is_found_by_trial() -> None:
+    found = ranked("attached_mass", "viscosity", "gravity")
+    assert [entry.effect for entry in found.entries].count("attached_mass") == 1
+    first, *others = found.entries
+    assert (first.effect, first.label) == ("attached_mass", "attached_mass, the load of b")
+    assert first.estimate == {"m": pytest.approx(MASS)} and first.p_value < 1e-3
+    assert first.statistic > 2.0 * others[0].statistic
+    # What a refit starts from is the mass of the load, in its sequence alone.
+    settings = first.start.term("attached_mass").settings
+    assert settings["sequences"] == ["b"] and settings["weight"] is False
+    # It really explains that much.
+    experiment, fitted = scene()
+    after = minimise(experiment.problem(SPACING), first.start).evaluation.chi_square
+    drop = fitted.evaluation.chi_square - after
+    assert 0.5 < first.statistic / drop < 2.0
+    assert after < 1.3 * fitted.evaluation.data_rows
+    assert found.chi_square == pytest.approx(fitted.evaluation.chi_square)
+
+
+def test_thresholds_alone_can_be_ranked() -> None:
+    found = ranked("plasticity")
+    assert [(entry.effect, entry.kind) for entry in found.entries] == [("plasticity", "threshold")]
+    assert found.entries[0].label.startswith("yield stress")
+    assert ranked("contact", "plasticity").entries[-1].kind == "threshold"
+
+
+def test_smooth_effects_that_the_motion_cannot_test_are_said_to_be_so() -> None:
+    # Nothing moves: neither a viscosity nor a drag does anything.
+    capture = bar_capture(frames=8, gravity=np.zeros(3), fit=(0, 8))
+    belief = bar_belief(capture, free=FREE)
+    experiment = Experiment.of(recorded(capture, belief), Settings(SPACING, workers=1))
+    evaluation = experiment.problem(SPACING).evaluate(belief)
+    found = rank(
+        experiment, belief, evaluation, SPACING,
+        generator=np.random.default_rng(0), names=("viscosity", "mass_damping"),
+    )  # fmt: skip
+    assert {entry.effect for entry in found.entries} == {"viscosity", "mass_damping"}
+    for entry in found.entries:
+        assert entry.reason and (entry.p_value, entry.statistic, entry.estimate) == (1.0, 0.0, {})
+
+
+def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("search", "plasticity_trials", "hung_trials"):
+        monkeypatch.setattr(ranking, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
+    assert [entry.effect for entry in ranked("viscosity").entries] == ["viscosity"]
