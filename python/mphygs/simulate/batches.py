@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mphygs.model.belief import Belief, Parameter
-from mphygs.model.registry import core_parameter_nulls
+from mphygs.model.registry import core_parameter_nulls, core_parameter_offsets, effects
 from mphygs.simulate.body import Body
 from mphygs.simulate.fields import core_effects, places, primal
 
@@ -47,13 +47,49 @@ def batches_of(
     order = sorted(range(len(owned)), key=lambda i: core_effects(owned[i][0]))
     own = set(core_effects(belief))
     found = []
-    for k in range(0, len(order), size):
-        members = tuple(order[k : k + size])
+    for members in _together(order, belief, [owner for owner, _ in owned], body, size):
         owners = [owned[i][0] for i in members]
         active = tuple(sorted(own.union(*(core_effects(owner) for owner in owners))))
         spots, fields, directions = _merged(belief, body, base, owners, [changes[i] for i in members])
         found.append(Batch(members, active, spots, fields, directions))
     return found
+
+
+def _together(
+    order: Sequence[int], belief: Belief, owners: Sequence[Belief], body: Body, size: int
+) -> list[tuple[int, ...]]:
+    """Members of each run, `size` at most.
+
+    A run has one value of every constant: owners of one effect with unlike ones (a frequency, a phase, a
+    relaxation time) never share it.
+    """
+    constants: dict[int, np.ndarray] = {}
+    members: list[list[int]] = []
+    brought: list[np.ndarray] = []
+    for i in order:
+        own = constants.setdefault(id(owners[i]), _brought(belief, owners[i], body))
+        for k, there in enumerate(brought):
+            both = np.isfinite(own) & np.isfinite(there)
+            if len(members[k]) < size and np.array_equal(own[both], there[both]):
+                break
+        else:
+            members.append([])
+            brought.append(np.full(own.shape, np.nan))
+            k = len(members) - 1
+        members[k].append(i)
+        brought[k] = np.where(np.isfinite(own), own, brought[k])
+    return [tuple(group) for group in members]
+
+
+def _brought(belief: Belief, owner: Belief, body: Body) -> np.ndarray:
+    """All core parameters, NaN but for those of effects that only the owner has."""
+    values = np.full(len(core_parameter_nulls()), np.nan)
+    offsets, known = core_parameter_offsets(), effects()
+    for name in set(owner.effects) - set(belief.effects):
+        if name in offsets:
+            place = slice(offsets[name], offsets[name] + len(known[name].parameters))
+            values[place] = primal(owner, body)["effect"][place]
+    return values
 
 
 def _merged(
