@@ -61,6 +61,28 @@ def test_what_is_met_late_is_seen_from_the_model_of_the_frames_before(
     assert np.sqrt(np.mean(residual[rows >= struck] ** 2)) > 3.0
 
 
+# ---- a wall, and nothing else asked for -------------------------------------------------------
+def test_a_wall_alone_can_be_asked_for() -> None:
+    normal = np.array([-0.1, 0.15, 1.0]) / np.linalg.norm([-0.1, 0.15, 1.0])
+    struck = np.array([0.055, 0.01, -0.012])
+    capture = bar_capture(frames=20, fps=100.0, sigma=SIGMA, fit=(0, 14))
+    capture = replace(capture, sequences=(replace(capture.sequence("a"), predict=(14, 20)),))
+    belief = bar_belief(capture, youngs_modulus=2e4, free=FREE)
+    # Made on another grid than the one that looks at it.
+    walled = recorded(capture, with_wall(belief, Plane(normal, float(normal @ struck))), 0.0085)
+    experiment = Experiment.of(walled, Settings(SPACING, workers=1))
+    found = discover(experiment, belief, SPACING, names=("contact",))
+    first, last = found.steps
+    assert last.added == ("contact",) and last.solution.belief.effects == ("contact",)
+    assert last.assessment.worst < 0.2 * first.assessment.worst
+    model = last.belief
+    n = np.array([model[f"contact.n_{a}"].value for a in "xyz"])
+    n /= np.linalg.norm(n)
+    assert np.degrees(np.arccos(n @ normal)) < 10.0
+    assert abs(n @ struck - model["contact.d"].value) < 0.15 * SPACING
+    assert model[FREE[0]].value == pytest.approx(2e4, rel=0.1)
+
+
 # ---- a weight that hangs in one recording -----------------------------------------------------
 MASS, ETA = 6e-3, 30.0
 HUNG = Load(np.array([[0.05, 0.0, 0.0], [0.06, 0.02, 0.02]]), np.array([0.0, 0.0, -9.81 * MASS]), 0)
