@@ -13,7 +13,7 @@ from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.grids import on_grid, onward, probed, refined
 from mphygs.extend.refit import Refit, finish_refit, start_refit
-from mphygs.extend.simplest import among_all, without_loads
+from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -400,18 +400,21 @@ def discover(
         )
         experiment.problems.clear()  # bad tracks may have been left out
         for step in alone.steps[1:]:
-            steps.append(among_all(experiment, steps[0].belief, step))
+            try:
+                steps.append(among_all(experiment, steps[0].belief, step))
+            except SimulationError as error:
+                say(f"{', '.join(step.added)}, for all recordings: {error}")
+                break
             if on_step:
                 on_step(steps[-1])
         rankings.extend(alone.rankings)
         warnings.extend(alone.warnings)
-        if alone.steps[-1].explained:
-            experiment.whole = simple
     while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         if names is not None and set(names) <= set(steps[-1].belief.effects):
             break
         current = probed(experiment, steps[-1], coarse, report) if screening else steps[-1]
         spacing = current.spacing
+        experiment.whole = simple if simple and explains(current, simple) else ()
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
         generator = np.random.default_rng((seed, len(steps)))
         window = tractable_window(experiment, current, spacing, say)
@@ -448,7 +451,6 @@ def discover(
         step = step_of(best, spacing, finished, window[0])
         others = [step_of(r, spacing, (), window[0]) for r in rivals]
         steps.append(settled(experiment, steps, step, others, report, screening=screening))
-        experiment.whole = ()  # one model of all recordings from here on
         if on_step:
             on_step(steps[-1])
         without_bad_tracks()

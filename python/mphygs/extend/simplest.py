@@ -7,9 +7,10 @@ spoils what the other says.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
-from mphygs.extend.step import Step
+from mphygs.extend.step import EXPLAINED, Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.model.belief import Belief
@@ -19,6 +20,12 @@ def without_loads(experiment: Experiment) -> tuple[str, ...]:
     """Fitted sequences that no known load pulls at; none where all or no sequence is such."""
     simple = tuple(name for name in experiment.fitted if not experiment.capture.sequence(name).loads)
     return simple if len(simple) < len(experiment.fitted) else ()
+
+
+def explains(step: Step, names: Sequence[str]) -> bool:
+    """Whether a step's model explains some sequences."""
+    ratios = [value for name in names for value in step.assessment.ratio[name].values()]
+    return bool(step.added) and max(ratios) <= EXPLAINED
 
 
 def among_all(experiment: Experiment, first: Belief, step: Step) -> Step:
