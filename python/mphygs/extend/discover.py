@@ -454,6 +454,7 @@ def discover(
         if on_step:
             on_step(steps[-1])
         without_bad_tracks()
+    experiment.whole = ()
     return _conclude(steps, rankings, warnings)
 
 
