@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -139,7 +139,6 @@ def diagnosis_document(
         "effects": list(found.effects),
         "ranking": entries,
         "missing_force": None if missing is None else missing.document(),
-        "next_motions": [asdict(motion) for motion in motions],
         "advice": advice(found.verdict, found.effects, entries, found.warnings, motions=motions),
     }
 

@@ -17,13 +17,14 @@ from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
 from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.trials import score_trials
-from mphygs.diagnose.trials_of import Trial, hung_trials, plasticity_trials
+from mphygs.diagnose.trials_of import Trial, compliance_trials, hung_trials, plasticity_trials
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.settings import MLS
 
 MODULATIONS = 6
 # Effects that do nothing, scored beside the candidates.
@@ -311,8 +312,8 @@ def _trials(
     names: Sequence[str] | None,
     report: Callable[[str], None] | None,
 ) -> list[Entry]:
-    """Threshold effects, and masses of known loads: the best of a few finite trials each, with the p-value of
-    the best of so many."""
+    """Threshold effects, soft holds, masses of known loads: the best of a few finite trials each, with the
+    p-value of the best of so many."""
     name, (_first, last) = next(iter(problem.ranges.items()))
     observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
@@ -323,6 +324,8 @@ def _trials(
         groups["contact"] = [Trial("contact", plane.label, with_wall(belief, plane)) for plane in planes]
     if names is None or "plasticity" in names:
         groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
+    if (names is None or "hold_compliance" in names) and problem.settings.transfer != MLS:
+        groups["hold_compliance"] = compliance_trials(experiment.capture, belief)
     if names is None or "attached_mass" in names:
         groups["attached_mass"] = hung_trials(experiment.capture, belief, list(problem.ranges))
     entries = []

@@ -13,6 +13,8 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
 
 YIELD_SHARES = (0.8, 0.6, 0.4, 0.25, 0.12)
+# How far a hold gives way under the object's weight, of the object's diagonal.
+YIELDING = (3e-4, 1e-3, 3e-3, 1e-2)
 # Of the mass whose weight a known load is.
 MASS_SHARES = (0.5, 1.0)
 
@@ -43,6 +45,23 @@ def plasticity_trials(predictor: Predictor, belief: Belief, last: int) -> list[T
             "plasticity.yield_stress", prior_mean=float(np.log(share * top)), prior_std=2.0
         )
         trials.append(Trial("plasticity", f"yield stress {share * top:.4g} Pa", extended))
+    return trials
+
+
+def compliance_trials(capture: Capture, belief: Belief) -> list[Trial]:
+    """Holds that give way.
+
+    A soft hold passes for soft material: fitted with a rigid one, it leaves the derivative little to say.
+    """
+    if "hold_compliance" in belief.effects or not any(s.held for s in capture.sequences):
+        return []
+    gravity = float(np.linalg.norm(belief.gravity)) or 9.81
+    mass = sum(part.volume * belief[f"{part.name}.density"].value for part in capture.parts)
+    trials = []
+    for share in YIELDING:
+        compliance = share * capture.diagonal / (mass * gravity)
+        extended = belief.with_effect("hold_compliance", {"compliance": compliance})
+        trials.append(Trial("hold_compliance", f"hold_compliance {compliance:.3g} m/N", extended))
     return trials
 
 

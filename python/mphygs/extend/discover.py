@@ -305,6 +305,19 @@ def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float)
     )
 
 
+def does_alike(rival: Step, best: Step) -> bool:
+    """Whether a rival explains as much as the best; every parameter that the best has more has to pay."""
+    more = max(len(best.belief.free) - len(rival.belief.free), 0)
+    return excess(rival.assessment) < excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE * (1 + more)
+
+
+def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
+    """Of those that do as well as the best the one with fewest parameters, and the rest."""
+    same = [best, *(r for r in rivals if r.spacing == best.spacing and does_alike(r, best))]
+    chosen = min(same, key=lambda step: (len(step.belief.free), excess(step.assessment)))
+    return chosen, [step for step in (best, *rivals) if step is not chosen]
+
+
 def settled(
     experiment: Experiment,
     steps: Sequence[Step],
@@ -319,6 +332,7 @@ def settled(
     What reaches the floor as well cannot be told from it.
     """
     tried = best.refits
+    best, rivals = plainest(best, rivals)
     best = refined(experiment, [*steps, best], report, screening=screening)
     alike = []
     for rival in rivals:
@@ -331,16 +345,9 @@ def settled(
             rival = moved
         alike.append(rival)
     alike.sort(key=lambda step: excess(step.assessment))
-    if alike and excess(alike[0].assessment) < CLEARLY_BETTER * excess(best.assessment) - NEGLIGIBLE:
+    if alike and not does_alike(best, alike[0]):
         best, alike = alike[0], [best, *alike[1:]]
-
-    def does_alike(rival: Step) -> bool:
-        """Every parameter more has to pay."""
-        more = max(len(best.belief.free) - len(rival.belief.free), 0)
-        limit = excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE * (1 + more)
-        return excess(rival.assessment) < limit
-
-    tied = [best, *(r for r in alike if does_alike(r))]
+    tied = [best, *(r for r in alike if does_alike(r, best))]
     # Of models that do alike the one with fewest parameters comes first.
     tied.sort(key=lambda step: (len(step.belief.free), excess(step.assessment)))
     return replace(tied[0], refits=tried, ties=tuple(r.added[0] for r in tied[1:]))
