@@ -18,7 +18,8 @@ from mphygs.simulate.errors import SimulationError
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
 # A misfit that a coarser grid has as well, within this factor, is looked for there.
 SAME_MISFIT = 1.3
-ITERATIONS = 8
+# Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
+ITERATIONS, FIRST = 8, 3
 
 
 def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
@@ -68,7 +69,13 @@ def on_grid(
                     window, belief, iterations=ITERATIONS // 2, relative_tolerance=1e-3, report=tell
                 ).belief
         iterations = ITERATIONS // 2 if late else ITERATIONS
-        solution = minimise(problem, belief, iterations=iterations, relative_tolerance=1e-3, report=tell)
+        solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, report=tell)
+        gross = solution.evaluation.chi_square > GROSS**2 * solution.evaluation.data_rows
+        if not solution.converged and not gross:
+            left = iterations - FIRST
+            solution = minimise(
+                problem, solution.belief, iterations=left, relative_tolerance=1e-3, report=tell
+            )
         compared = experiment.compare(solution.belief, spacing)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
