@@ -8,7 +8,7 @@ import numpy as np
 from cases import Case
 
 from mphygs.extend.discover import Discovery
-from mphygs.fit.levenberg_marquardt import covariance
+from mphygs.extend.steps import uncertainty
 from mphygs.model.registry import effects
 
 
@@ -61,8 +61,7 @@ def _ratios(step: object, label: str) -> list[float]:
 def _parameter_errors(case: Case, answer: Mapping[str, object], found: Discovery) -> dict[str, float]:
     """(found - true) / standard error of every strength of a true effect that is in the last model."""
     step = found.steps[-1]
-    evaluation = step.solution.evaluation
-    deviations = np.sqrt(np.diag(covariance(evaluation)))
+    deviations = np.sqrt(np.diag(uncertainty(step)))
     truth: dict[str, float] = {}
     for name in case.true_names:
         values = {**answer["effects"], **answer["faults"]}.get(name, {})

@@ -136,8 +136,9 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         report=lambda text: console.say(f"[{duration(console.seconds)}] {text}"),
         on_step=on_step,
     )
-    for k, step in enumerate(found.steps):  # a step may have moved to a finer grid since it was told
-        if step.spacing != spacings[k]:
+    # Since it was told a step may have moved to a finer grid, and the last one learnt of the grid's share.
+    for k, step in enumerate(found.steps):
+        if step.spacing != spacings[k] or k and k == len(found.steps) - 1:
             documents[k] = step_document(step, experiment, documents[k - 1]["effects"] if k else ())
             beliefs[k], spacings[k] = document_of_belief(step.belief), step.spacing
     answer = _conclude(out, options, state, experiment, found, documents, console)

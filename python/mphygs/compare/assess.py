@@ -249,6 +249,19 @@ def _grid_share(whitened: Whitened) -> np.ndarray:
     return share
 
 
+def grid_shift(compared: Mapping[str, Compared], covariance: np.ndarray) -> np.ndarray | None:
+    """(P,) how far the grid's error moves the fitted coordinates; None where no refinement is known.
+
+    covariance: (P, P) of the coordinates, priors included. The error of the fitted frames is taken for what
+    a refinement changes, extrapolated.
+    """
+    whitened = whiten_all(compared)
+    if not np.any(whitened.refinement) or whitened.jacobian.shape[1] != len(covariance):
+        return None
+    rows = whitened.seen
+    return covariance @ (whitened.jacobian[rows].T @ whitened.refinement[rows])
+
+
 def _budget(whitened: Whitened, share: np.ndarray, sigma: float) -> dict[str, float]:
     """Root mean squares over markers of the three shares [m]: they add in squares to the misfit.
 

@@ -11,7 +11,7 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
-from mphygs.extend.grids import on_grid, onward, probed, refined
+from mphygs.extend.grids import known_budget, on_grid, onward, probed, refined, with_budget
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import Step, excess
@@ -462,6 +462,9 @@ def discover(
             on_step(steps[-1])
         without_bad_tracks()
     experiment.whole = ()
+    if steps[-1].added and steps[-1].explained and not known_budget(steps[-1]):
+        # What was found is told with the grid's share of its uncertainty.
+        steps[-1] = with_budget(experiment, steps[-1], report)
     return _conclude(steps, rankings, warnings)
 
 

@@ -92,6 +92,11 @@ def on_grid(
     )
 
 
+def known_budget(step: Step) -> bool:
+    """Whether a refinement of the step's model has been run."""
+    return any(item.refinement is not None for item in step.compared.values())
+
+
 def with_budget(
     experiment: Experiment, step: Step, report: Callable[[str], None] | None = None
 ) -> Step:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mphygs.compare.assess import grid_shift
 from mphygs.extend.step import Step
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
@@ -35,6 +36,13 @@ def step_at(
     )
 
 
+def uncertainty(step: Step) -> np.ndarray:
+    """(P, P) covariance of the free coordinates: the noise's, and the grid's where a refinement is known."""
+    noise = covariance(step.solution.evaluation)
+    shift = grid_shift(step.compared, noise)
+    return noise if shift is None else noise + np.outer(shift, shift)
+
+
 def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:
     """One step as JSON. before: everything that was in the model, or corrected for, before this step."""
     evaluation, belief = step.solution.evaluation, step.belief
@@ -48,7 +56,7 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
         "sequences": errors_of(experiment, step.compared),
         "adequate": step.assessment.adequate,
         "p_value": step.assessment.p_value,
-        "parameters": parameters_document(belief, information, covariance(evaluation)),
+        "parameters": parameters_document(belief, information, uncertainty(step)),
     }
 
 
@@ -81,7 +89,7 @@ def run_at(
         settings=replace(run.settings, spacing=step.spacing),
         start=run.belief,
         belief=step.belief,
-        covariance=covariance(evaluation),
+        covariance=uncertainty(step),
         information=information_of(evaluation, len(step.belief.free)),
         left_out=left_out_of(experiment),
         answer=answer,
