@@ -12,9 +12,10 @@ from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.grids import known_budget, on_grid, onward, probed, refined, with_budget
+from mphygs.extend.prune import pruned
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.simplest import among_all, explains, without_loads
-from mphygs.extend.step import Step, excess
+from mphygs.extend.step import Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
@@ -23,9 +24,6 @@ from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-# An effect that leaves this share of another's excess on all frames explains more; excesses that differ by
-# less than the second number [of the noise's mean square] are the same.
-CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals.
 RIVAL, ALIKE_EXCESS = 2.0, 0.1
 LARGEST_MODEL = 3
@@ -305,12 +303,6 @@ def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float)
     )
 
 
-def does_alike(rival: Step, best: Step) -> bool:
-    """Whether a rival explains as much as the best; every parameter that the best has more has to pay."""
-    more = max(len(best.belief.free) - len(rival.belief.free), 0)
-    return excess(rival.assessment) < excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE * (1 + more)
-
-
 def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
     """Of those that do as well as the best the one with fewest parameters, and the rest."""
     same = [best, *(r for r in rivals if r.spacing == best.spacing and does_alike(r, best))]
@@ -457,7 +449,9 @@ def discover(
         best, rivals = choose(refits)
         step = step_of(best, spacing, finished, window[0])
         others = [step_of(r, spacing, (), window[0]) for r in rivals]
-        steps.append(settled(experiment, steps, step, others, report, screening=screening))
+        last = settled(experiment, steps, step, others, report, screening=screening)
+        earlier = [name for before in steps for name in before.added]
+        steps.append(pruned(experiment, last, earlier, report))
         if on_step:
             on_step(steps[-1])
         without_bad_tracks()
@@ -471,6 +465,8 @@ def discover(
 def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -> Discovery:
     last = steps[-1]
     added = [name for step in steps for name in step.added]
+    dropped = {name for step in steps for name in step.dropped}
+    added = [name for name in added if name not in dropped]
     if not last.explained:
         verdict, added = "unknown", []
     elif not added:

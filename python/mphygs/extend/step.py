@@ -13,12 +13,16 @@ from mphygs.model.belief import Belief
 
 # The error counts as explained below this many sigma on every range.
 EXPLAINED = 1.1
+# An effect that leaves this share of another's excess on all frames explains more; excesses that differ by
+# less than the second number [of the noise's mean square] are the same.
+CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
     """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
-    cannot tell from them; since: share of the fitted frames, from the first on, that they were found on."""
+    cannot tell from them; since: share of the fitted frames, from the first on, that they were found on; dropped:
+    effects of earlier steps that are superfluous with them."""
 
     belief: Belief
     solution: Solution
@@ -29,6 +33,7 @@ class Step:
     ties: tuple[str, ...] = ()
     refits: tuple[Refit, ...] = ()
     since: float = 1.0
+    dropped: tuple[str, ...] = ()
 
     @property
     def explained(self) -> bool:
@@ -40,3 +45,9 @@ def excess(assessment: Assessment) -> float:
     """Mean square beyond noise of the whitened residual, averaged over ranges."""
     values = [v for ranges in assessment.ratio.values() for v in ranges.values()]
     return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
+
+
+def does_alike(rival: Step, best: Step) -> bool:
+    """Whether a rival explains as much as the best; every parameter that the best has more has to pay."""
+    more = max(len(best.belief.free) - len(rival.belief.free), 0)
+    return excess(rival.assessment) < excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE * (1 + more)

@@ -48,7 +48,8 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
     evaluation, belief = step.solution.evaluation, step.belief
     information = information_of(evaluation, len(belief.free))
     # Corrections for faults that are not terms of the model are effects of the step all the same.
-    inside = tuple(dict.fromkeys((*before, *belief.effects, *step.added)))
+    kept = [name for name in before if name in belief.effects or name == "marker_outliers"]
+    inside = tuple(dict.fromkeys((*kept, *belief.effects, *step.added)))
     return {
         "effects": list(inside),
         "added": list(step.added),

@@ -1,0 +1,58 @@
+"""Effects that a later one made superfluous."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from bar_capture import bar_belief, bar_capture
+from extend_example import SPACING, recorded
+from mphygs.extend.discover import _conclude
+from mphygs.extend.prune import pruned
+from mphygs.extend.step import Step
+from mphygs.extend.steps import step_at, step_document
+from mphygs.fit.experiment import Experiment
+from mphygs.model.belief import Belief
+from mphygs.simulate.prediction import Settings
+
+ETA, TILT = 20.0, 1.5
+
+
+@cache
+def scene(tilt: float) -> tuple[Experiment, Belief]:
+    """A viscous bar, gravity tilted by so much [m/s^2], and its elastic model."""
+    capture = bar_capture(frames=30, fps=100.0, fit=(0, 30))
+    elastic = bar_belief(capture, youngs_modulus=6e4, free=("part0.youngs_modulus",))
+    truth = elastic.with_effect("viscosity", {"eta": ETA})
+    if tilt:
+        truth = truth.with_effect("gravity", {"delta_g_y": tilt})
+    return Experiment.of(recorded(capture, truth), Settings(SPACING, workers=1)), elastic
+
+
+def both(tilt: float) -> tuple[Experiment, Step, Step]:
+    """The steps with gravity and then viscosity, at the truth."""
+    experiment, elastic = scene(tilt)
+    tilted = elastic.with_effect("gravity", {"delta_g_y": tilt})
+    full = tilted.with_effect("viscosity", {"eta": ETA})
+    before = step_at(experiment, tilted, SPACING, added=("gravity",))
+    return experiment, before, step_at(experiment, full, SPACING, added=("viscosity",))
+
+
+def test_what_is_superfluous_goes() -> None:
+    experiment, before, last = both(0.0)
+    said: list[str] = []
+    found = pruned(experiment, last, ["gravity"], said.append)
+    assert found.belief.effects == ("viscosity",) and found.added == ("viscosity",)
+    assert said[0].startswith("without gravity: ")
+    concluded = _conclude([step_at(experiment, scene(0.0)[1], SPACING), before, found], [], [])
+    assert (concluded.verdict, concluded.effects) == ("missing", ("viscosity",))
+    assert step_document(found, experiment, ("gravity", "marker_outliers"))["effects"] == [
+        "marker_outliers",
+        "viscosity",
+    ]
+    # What the user put into the first model is not the loop's to take away.
+    assert pruned(experiment, last, []) is last
+
+
+def test_what_is_needed_stays() -> None:
+    experiment, _, last = both(TILT)
+    assert pruned(experiment, last, ["gravity"]) is last
