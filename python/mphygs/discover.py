@@ -111,8 +111,13 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     beliefs = list(kept.get("beliefs", [document_of_belief(belief)]))
     spacings = list(kept.get("spacings", [spacing]))
     steps = [
-        step_at(experiment, belief_from_document(b), h, added=d["added"], ties=d["ties"])
-        for b, d, h in zip(beliefs, documents, spacings, strict=False)
+        replace(
+            step_at(experiment, belief_from_document(b), h, added=d["added"], ties=d["ties"]),
+            dropped=tuple(name for name in before if name not in d["effects"]),
+        )
+        for b, d, h, before in zip(
+            beliefs, documents, spacings, [(), *(d["effects"] for d in documents)], strict=False
+        )
     ] or [step_at(experiment, belief, spacing)]
     if not documents:
         documents = [step_document(steps[0], experiment, ())]

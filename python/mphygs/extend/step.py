@@ -21,8 +21,8 @@ CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 @dataclass(frozen=True, eq=False)
 class Step:
     """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
-    cannot tell from them; since: share of the fitted frames, from the first on, that they were found on; dropped:
-    effects of earlier steps that are superfluous with them."""
+    cannot tell from them; since: share of the fitted frames, from the first on, that they were found on;
+    dropped: effects of earlier steps that are superfluous with them."""
 
     belief: Belief
     solution: Solution
