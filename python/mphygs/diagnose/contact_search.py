@@ -24,7 +24,7 @@ DIRECTIONS, APART = 400, 0.95
 # Planes that are tried where the markers' own limits put them; of these so many are moved, in so many runs
 # each, where the best of them leaves no more than this share of the misfit.
 TRIED, MOVED, RUNS, HELPS = 20, 2, 40, 0.8
-FRICTION = 0.2
+FRICTION, USUAL_FRICTION = 0.2, 0.3
 # Tilt [rad] and depth (of the deepest passing) that a search begins with.
 TILT, DEPTH = 0.2, 0.3
 # The misfit begins where a frame is this many sigma off; runs begin so many frames before.
@@ -77,6 +77,22 @@ def with_wall(belief: Belief, plane: Plane) -> Belief:
             f"contact.{key}", free=True, scale=0.1, prior_mean=value, prior_std=0.5
         )
     return extended.with_parameter("contact.mu", prior_mean=0.3, prior_std=0.5)
+
+
+def hold_friction(belief: Belief) -> Belief:
+    """The belief with its wall's friction held at a usual value, where it has a wall.
+
+    Far from the data the first linear step puts the friction to zero, where it stays, and the normal leans
+    to make up for it: the wall's place and direction are found first.
+    """
+    if "contact" not in belief.effects:
+        return belief
+    return belief.with_parameter("contact.mu", value=USUAL_FRICTION, free=False)
+
+
+def release_friction(belief: Belief) -> Belief:
+    """The belief with its wall's friction free, where it has a wall."""
+    return belief.with_parameter("contact.mu", free=True) if "contact" in belief.effects else belief
 
 
 def proposals(

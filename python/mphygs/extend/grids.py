@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mphygs.compare.assess import LARGEST_GRID_ERROR
+from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -63,11 +64,13 @@ def on_grid(
 
         late = step.since < 1.0 and any(effect(name).kind == "threshold" for name in step.added)
         if late:
+            belief = hold_friction(belief)
             for share in [step.since, *onward(step.since, "threshold")][:-1]:
                 window = experiment.window(spacing, share)
                 belief = minimise(
                     window, belief, iterations=ITERATIONS // 2, relative_tolerance=1e-3, report=tell
                 ).belief
+            belief = release_friction(belief)
         iterations = ITERATIONS // 2 if late else ITERATIONS
         solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, report=tell)
         gross = solution.evaluation.chi_square > GROSS**2 * solution.evaluation.data_rows

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared, whiten_all
+from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.rank import Entry
 from mphygs.fit.experiment import Experiment
@@ -131,6 +132,8 @@ def start_refit(
             best, best_cost = start, cost
     if best is None:
         return None
+    if entry.effect == "contact":
+        best = hold_friction(best)
     try:
         solution = minimise(problem, best, iterations=1, relative_tolerance=1e-3)
         done = len(solution.history) - 1
@@ -171,7 +174,8 @@ def finish_refit(
             report(f"with {entry.effect}: iteration {iteration}, {rms:.3f} sigma")
 
     try:
-        solution = minimise(problem, begun.belief, iterations=3, relative_tolerance=3e-4, report=tell)
+        belief = release_friction(begun.belief)
+        solution = minimise(problem, belief, iterations=3, relative_tolerance=3e-4, report=tell)
         if solution.evaluation.chi_square > hopeless:
             return None
         if not solution.converged:
