@@ -13,7 +13,16 @@ from bar_capture import DOWN, bar_belief, bar_capture
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import contact_search
-from mphygs.diagnose.contact_search import Plane, proposals, search, sphere, with_wall
+from mphygs.diagnose.contact_search import (
+    USUAL_FRICTION,
+    Plane,
+    hold_friction,
+    proposals,
+    release_friction,
+    search,
+    sphere,
+    with_wall,
+)
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
@@ -251,3 +260,16 @@ def test_walls_that_do_not_help_are_not_moved(monkeypatch: pytest.MonkeyPatch) -
     planes = search(problem, observation, belief, evaluation)
     assert len(planes) == 1
     assert planes[0].chi_square > contact_search.HELPS * evaluation.chi_square
+
+
+def test_friction_is_held_until_the_wall_stands() -> None:
+    capture = bar_capture()
+    belief = bar_belief(capture, free=())
+    assert hold_friction(belief) is belief and release_friction(belief) is belief
+    walled = with_wall(belief, Plane(np.array([0.0, 0.0, 1.0]), -0.01))
+    walled = walled.with_parameter("contact.mu", value=0.0)
+    held = hold_friction(walled)
+    assert [p.key for p in held.free] == ["contact.d", "contact.n_x", "contact.n_y", "contact.n_z"]
+    assert held["contact.mu"].value == USUAL_FRICTION
+    freed = release_friction(held)
+    assert "contact.mu" in [p.key for p in freed.free] and freed["contact.mu"].value == USUAL_FRICTION
