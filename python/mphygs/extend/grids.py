@@ -71,11 +71,10 @@ def on_grid(
                     window, belief, iterations=ITERATIONS // 2, relative_tolerance=1e-3, report=tell
                 ).belief
             belief = release_friction(belief)
-        iterations = ITERATIONS // 2 if late else ITERATIONS
         solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, report=tell)
         gross = solution.evaluation.chi_square > GROSS**2 * solution.evaluation.data_rows
         if not solution.converged and not gross:
-            left = iterations - FIRST
+            left = ITERATIONS - FIRST
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=1e-3, report=tell
             )
