@@ -19,10 +19,11 @@ from extend_example import (
     step_of,
 )
 from mphygs.diagnose.rank import Entry, Ranking
-from mphygs.extend import discover
-from mphygs.extend.discover import promising, settled, tractable_window
+from mphygs.extend import discover, window
+from mphygs.extend.discover import promising, settled
 from mphygs.extend.grids import onward
 from mphygs.extend.step import Step
+from mphygs.extend.window import tractable_window
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
@@ -79,8 +80,8 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         belief = start.with_parameter(KEY, value=1e6 * window.share)
         return solution_of(belief, window.evaluate(belief))
 
-    monkeypatch.setattr(discover, "minimise", minimise)
-    monkeypatch.setattr(discover, "find_scale", lambda _window, belief: belief)
+    monkeypatch.setattr(window, "minimise", minimise)
+    monkeypatch.setattr(window, "find_scale", lambda _window, belief: belief)
     return done
 
 
@@ -166,7 +167,7 @@ def test_a_model_with_an_effect_is_not_forgotten(fits: list[float], monkeypatch:
         scaled.append(belief)
         return belief
 
-    monkeypatch.setattr(discover, "find_scale", find_scale)
+    monkeypatch.setattr(window, "find_scale", find_scale)
     look(Frames(growing(6.0)), added=("viscosity",))
     assert scaled == []
     look(Frames(growing(6.0)))
@@ -178,7 +179,7 @@ def test_other_recordings_are_seen_from_the_model_of_the_simplest(fits: list[flo
     for others in (1.0, 30.0):
         experiment = Frames(lambda _fitted, seen: 20.0 * seen, whole=("easy",), others=others)
         share, solution = look(experiment, added=("viscosity",))
-        assert share == discover.SEEN and fitted_share(solution.belief) == 1.0
+        assert share == window.SEEN and fitted_share(solution.belief) == 1.0
         assert solution.reason == "seen from the simplest" and fits == []
     # Nothing to be seen in their first frames: windows as usual.
     experiment = Frames(lambda fitted, seen: sets_in(0.45)(fitted, seen) if fitted < 1 else 1.0 + 5.0 * (
@@ -195,7 +196,7 @@ def test_a_misfit_of_others_that_is_small_is_small_whatever_the_simplest_do(fits
 def test_forgetting_puts_materials_at_the_middle_of_their_priors() -> None:
     belief = plain_belief(2).with_parameter(KEY, prior_mean=float(np.log(2e5)), prior_std=1.0)
     belief = belief.with_effect("viscosity", {"eta": 3.0})
-    found = discover.forget(belief)
+    found = window.forget(belief)
     assert found[KEY].value == pytest.approx(2e5)
     # No prior, or no material: kept.
     assert found["part0.density"] == belief["part0.density"]

@@ -16,10 +16,10 @@ from mphygs.extend.prune import pruned
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import Step, does_alike, excess
+from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import find_scale, fit_belief
+from mphygs.fit.schedule import fit_belief
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -39,12 +39,6 @@ LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
 HOPELESS = 10.0
 # Refits over a window within this factor of the best chi^2 are continued on all frames.
 ALIKE = 1.35
-# Diagnosis looks at the first frames over which the misfit is between these [sigma].
-VISIBLE, TRACTABLE = 1.25, 4.0
-WINDOWS = (0.25, 0.4, 0.55, 0.75)
-SHORTER = (0.16, 0.1, 0.06)
-# Of the frames of other recordings, seen from the model that explains the simplest ones.
-SEEN = 0.16
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,94 +70,6 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
             )
             total += count
     return total
-
-
-def forget(belief: Belief) -> Belief:
-    """The belief with its free materials back at the middle of their priors."""
-    parameters = []
-    for p in belief.parameters:
-        if p.free and p.log and np.isfinite(p.prior_std) and p.key.rsplit(".", 1)[0] in belief.parts:
-            p = replace(p, value=float(np.clip(np.exp(p.prior_mean), p.lower, p.upper)))
-        parameters.append(p)
-    return replace(belief, parameters=tuple(parameters))
-
-
-def _ratio(evaluation: Evaluation, explained: Sequence[str] = ()) -> float:
-    """Root mean square over sigma of the fitted frames, sequences that are explained left out."""
-    of = [evaluation.residual[rows] for name, rows in evaluation.rows.items() if name not in explained]
-    return float(np.sqrt(sum(r @ r for r in of) / max(sum(len(r) for r in of), 1)))
-
-
-def tractable_window(
-    experiment: Experiment, current: Step, spacing: float, say: Callable[[str], None]
-) -> tuple[float, Solution]:
-    """The share of the fitted frames to diagnose on, and the model fitted to them.
-
-    A model that lacks a strong effect buys the whole motion with absurd materials, and no tangent there says
-    anything. Over its first frames the same model is nearly right: the window ends where the misfit is
-    clearly more than noise but still small.
-    """
-    evaluation = current.solution.evaluation
-
-    def ratio_of(evaluation: Evaluation) -> float:
-        return _ratio(evaluation, experiment.whole)
-
-    if ratio_of(evaluation) < TRACTABLE:
-        return 1.0, current.solution
-    belief = current.belief
-    if experiment.whole:
-        # What the other recordings have besides is seen from the model that explains the simplest.
-        evaluation = experiment.window(spacing, SEEN).evaluate(belief)
-        say(f"seen from {', '.join(experiment.whole)}: {ratio_of(evaluation):.3f} sigma")
-        if ratio_of(evaluation) > VISIBLE:
-            return SEEN, Solution(belief, evaluation, (evaluation.cost,), True, "seen from the simplest")
-    best: tuple[float, Solution] | None = None
-    if not current.added:
-        belief = find_scale(experiment.window(spacing, WINDOWS[0]), forget(belief))
-
-    def fitted(share: float, start: Belief) -> Solution:
-        solution = minimise(experiment.window(spacing, share), start, iterations=8, relative_tolerance=1e-3)
-        say(f"window of {share:.0%} of the frames: {ratio_of(solution.evaluation):.3f} sigma")
-        return solution
-
-    def seen_from(before: Belief, share: float, farther: float) -> tuple[float, Solution]:
-        """Something sets in between, a contact say. The model of the frames before it is right there: what
-        it lacks is seen from it on the frames after."""
-        evaluation = experiment.window(spacing, share).evaluate(before)
-        say(f"seen from before, {share:.0%} of the frames: {ratio_of(evaluation):.3f} sigma")
-        if ratio_of(evaluation) < VISIBLE:
-            share = farther
-            evaluation = experiment.window(spacing, share).evaluate(before)
-        return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
-
-    shortest, beyond = fitted(WINDOWS[0], belief), WINDOWS[0]
-    for share in SHORTER:
-        if ratio_of(shortest.evaluation) < TRACTABLE:
-            break
-        # Even that is far off: several swings, or a load that nothing in the model answers to.
-        beyond = WINDOWS[0] if best is None else best[0]
-        shortest = fitted(share, belief)
-        best = (share, shortest)
-    if best is not None:
-        if ratio_of(shortest.evaluation) < VISIBLE:
-            return seen_from(shortest.belief, 0.5 * (best[0] + beyond), beyond)
-        return best
-    for share in WINDOWS:
-        solution = shortest if share == WINDOWS[0] else fitted(share, belief)
-        ratio = ratio_of(solution.evaluation)
-        if best is not None and ratio > TRACTABLE:
-            if ratio_of(best[1].evaluation) > VISIBLE:
-                break
-            return seen_from(best[1].belief, 0.5 * (best[0] + share), WINDOWS[-1])
-        best, belief = (share, solution), solution.belief
-        if ratio > VISIBLE:
-            break
-    if ratio_of(best[1].evaluation) < VISIBLE:
-        # It sets in later still.
-        evaluation = experiment.problem(spacing).evaluate(belief)
-        say(f"seen from before, all frames: {ratio_of(evaluation):.3f} sigma")
-        return 1.0, Solution(belief, evaluation, (evaluation.cost,), True, "seen from before")
-    return best
 
 
 def first_fit(
