@@ -127,10 +127,10 @@ class Experiment:
             n
             for n in wanted
             if self.capture.sequence(n).markers is not None
-            and (n in self.fitted or self._unseen(n)[1] > self._unseen(n)[0])
+            and (n in self.fitted or self.unseen(n)[1] > self.unseen(n)[0])
         ]
 
-    def _unseen(self, name: str) -> tuple[int, int]:
+    def unseen(self, name: str) -> tuple[int, int]:
         """Unfitted frames of a sequence: its predict range, or all its ranges when it was left out."""
         recording = self.capture.sequence(name)
         if name in self.fitted or recording.fit[1] <= recording.fit[0]:
@@ -143,7 +143,7 @@ class Experiment:
         key = f"{name}.release_shift"
         if name in self.fitted or key not in belief:
             return belief
-        first, last = self._unseen(name)
+        first, last = self.unseen(name)
         problem = self.problem(spacing)
         self.predictor(name, spacing)
         own = Problem(
@@ -178,7 +178,7 @@ class Experiment:
                 report(f"predicting {name}")
             predictor = self.predictor(name, spacing)
             fit = self.fitted.get(name, (0, 0))
-            predict = self._unseen(name)
+            predict = self.unseen(name)
             last = max(b for a, b in (fit, predict) if b > a)
             known = self.with_release(belief, name, spacing)
             keys = [p.key for p in known.free] if jacobian else []

@@ -1,7 +1,8 @@
 """Levenberg-Marquardt on tangents, with bounds: the fast way when unknowns number in the tens.
 
 Source: Nocedal & Wright, Numerical Optimization, section 10.3; scaling by the diagonal of J^T J
-after More, "The Levenberg-Marquardt algorithm: implementation and theory", 1978.
+after More, "The Levenberg-Marquardt algorithm: implementation and theory", 1978; secant steps between
+two Jacobians after Broyden, "A class of methods for solving nonlinear simultaneous equations", 1965.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from mphygs.simulate.errors import SimulationError
 
 # Of the present substep: no single step of the optimiser may shorten it more.
 SHORTEST_SUBSTEP = 0.4
+# Steps between two Jacobians, each of which costs as much as nine motions or more; a step has to bring these
+# shares of what was promised: for another after it, and to be taken at all.
+SECANTS, TRUSTED, TAKEN = 3, 0.3, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +62,61 @@ def _bounded_step(belief: Belief, normal: np.ndarray, gradient: np.ndarray) -> n
     return step
 
 
+def _secant(
+    jacobian: np.ndarray, before: np.ndarray, after: np.ndarray, step: np.ndarray, scale: np.ndarray
+) -> np.ndarray:
+    """The Jacobian that is nearest, in units of `scale`, and explains how the residual changed."""
+    weighted = scale * step
+    return jacobian + np.outer(after - before - jacobian @ step, weighted / max(weighted @ step, 1e-300))
+
+
+def _worth(evaluation: Evaluation, tolerance: float, relative: float) -> float:
+    """The fall of the cost that another step is worth taking for.
+
+    A model that is far from the data anyway is not worth the last digits of its numbers.
+    """
+    misfit = evaluation.chi_square / max(evaluation.data_rows, 1)
+    factor = 100.0 if misfit > 25.0 else 10.0 if misfit > 4.0 else 1.0
+    return tolerance + factor * relative * evaluation.cost
+
+
+def _follow_secants(
+    problem: Problem,
+    belief: Belief,
+    reached: Evaluation,
+    jacobian: np.ndarray,
+    damping: float,
+    worth: Callable[[Evaluation], float],
+    longest_step: float,
+) -> Belief:
+    """The belief after a few more steps that need no new Jacobian, as long as they hold what they promise."""
+    logs = np.array([p.log for p in belief.free])
+    substep = problem.stable_substep(belief)
+    for _ in range(SECANTS):
+        normal = jacobian.T @ jacobian
+        gradient = jacobian.T @ reached.residual
+        diagonal = np.maximum(np.diag(normal), 1e-12)
+        step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
+        promised = -float(gradient @ step + 0.5 * step @ normal @ step)
+        if promised < worth(reached) or (logs.any() and np.abs(step[logs]).max() > longest_step):
+            break
+        ahead = belief.at(belief.coordinates + step)
+        if problem.stable_substep(ahead) < SHORTEST_SUBSTEP * substep:
+            break
+        try:
+            trial = problem.evaluate(ahead, jacobian=False)
+        except SimulationError:
+            break
+        ratio = (reached.cost - trial.cost) / promised
+        if ratio < TAKEN:
+            break
+        jacobian = _secant(jacobian, reached.residual, trial.residual, step, diagonal)
+        belief, reached = ahead, trial
+        if ratio < TRUSTED:
+            break
+    return belief
+
+
 def minimise(
     problem: Problem,
     belief: Belief,
@@ -70,13 +129,18 @@ def minimise(
 ) -> Solution:
     """Minimise half the sum of squares of a problem over the free parameters of a belief.
 
-    tolerance, relative_tolerance: stop when the next step promises less than tolerance (in units of a squared
-    standard deviation) plus this share of the cost; longest_step: of any logarithm in one iteration.
+    iterations: Jacobians, each used for a few steps; tolerance, relative_tolerance: stop when the next step
+    promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
+    longest_step: of any logarithm in one step.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     current = problem.evaluate(belief)
     history = [current.cost]
     damping, reason, converged = 1e-3, "iterations used up", False
+
+    def worth(evaluation: Evaluation) -> float:
+        return _worth(evaluation, tolerance, relative_tolerance)
+
     if report:
         report(0, current, belief)
     for iteration in range(1, iterations + 1):
@@ -92,10 +156,7 @@ def minimise(
             if logs.any() and np.abs(step[logs]).max() > longest_step:
                 step *= longest_step / np.abs(step[logs]).max()
             promised = -float(gradient @ step + 0.5 * step @ normal @ step)
-            # A model that is far from the data anyway is not worth the last digits of its numbers.
-            misfit = current.chi_square / max(current.data_rows, 1)
-            worth = relative_tolerance * (100.0 if misfit > 25.0 else 10.0 if misfit > 4.0 else 1.0)
-            if largest == 0.0 or promised < tolerance + worth * current.cost:
+            if largest == 0.0 or promised < worth(current):
                 converged, reason = True, "converged"
                 break
             trial_belief = belief.at(belief.coordinates + step)
@@ -124,6 +185,9 @@ def minimise(
             converged = True
             break
         belief = trial_belief
+        if ratio > TRUSTED:
+            after = _secant(current.jacobian, current.residual, trial.residual, step, diagonal)
+            belief = _follow_secants(problem, belief, trial, after, damping, worth, longest_step)
         current = problem.evaluate(belief)
         history.append(current.cost)
         if report:

@@ -1,0 +1,98 @@
+"""The optimiser on functions of which everything is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from extend_example import plain_belief
+from mphygs.fit import levenberg_marquardt
+from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.fit.problem import Evaluation
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+
+TRUTH = np.log([6e4, 1.1e3])
+START = np.log([9e4, 0.9e3])
+TIME = np.linspace(0.0, 1.0, 60)
+SIGMA = 0.01
+
+
+def swing(x: np.ndarray) -> np.ndarray:
+    """A decaying swing whose frequency goes with sqrt(E / rho) and whose size with 1 / rho."""
+    frequency = np.exp(0.5 * (x[0] - x[1]))
+    return 1e3 * np.exp(-x[1]) * np.exp(-TIME) * np.sin(frequency * TIME)
+
+
+def slope(f: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+    steps = 1e-6 * np.eye(len(x))
+    return np.stack([(f(x + s) - f(x - s)) / 2e-6 for s in steps], axis=1)
+
+
+class Toy:
+    """What minimise asks of a problem; jacobians, forwards: calls so far."""
+
+    def __init__(self, limit: float = np.inf) -> None:
+        self.jacobians = self.forwards = 0
+        self.limit = limit
+
+    def stable_substep(self, _belief: Belief) -> float:
+        return 1.0
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        x = belief.coordinates
+        if x[0] > self.limit:
+            raise SimulationError("unstable")
+        self.jacobians += jacobian
+        self.forwards += not jacobian
+        residual = (swing(TRUTH) - swing(x)) / SIGMA
+        j = -slope(swing, x) / SIGMA if jacobian else np.zeros((len(residual), len(x)))
+        return Evaluation(residual, j, len(residual), 0, {"a": slice(0, len(residual))}, {}, 1)
+
+
+def start() -> Belief:
+    belief = plain_belief(2)
+    return belief.at(START)
+
+
+def test_a_swing_is_fitted() -> None:
+    solution = minimise(Toy(), start(), tolerance=1e-8, relative_tolerance=0.0)
+    assert solution.converged
+    np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-5)
+    assert np.all(np.diff(solution.history) <= 0.0)
+
+
+def test_secant_steps_save_jacobians(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_secants, without = Toy(), Toy()
+    tight = {"tolerance": 1e-8, "relative_tolerance": 0.0}
+    minimise(with_secants, start(), **tight)
+    monkeypatch.setattr(levenberg_marquardt, "SECANTS", 0)
+    solution = minimise(without, start(), **tight)
+    np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-5)
+    assert with_secants.jacobians < without.jacobians
+
+
+def test_the_end_is_judged_by_a_fresh_jacobian() -> None:
+    toy = Toy()
+    solution = minimise(toy, start(), tolerance=1e-8, relative_tolerance=0.0)
+    x = solution.belief.coordinates
+    np.testing.assert_allclose(solution.evaluation.jacobian, -slope(swing, x) / SIGMA, rtol=1e-6, atol=1e-6)
+
+
+def test_the_secant_jacobian_explains_the_step_and_leaves_the_rest() -> None:
+    random = np.random.default_rng(1)
+    jacobian, before, after = random.normal(size=(5, 3)), random.normal(size=5), random.normal(size=5)
+    step = np.array([0.3, -0.1, 0.0])
+    found = levenberg_marquardt._secant(jacobian, before, after, step, np.ones(3))
+    np.testing.assert_allclose(found @ step, after - before, atol=1e-12)
+    across = np.array([0.1, 0.3, 0.7])  # at right angles to the step
+    np.testing.assert_allclose(found @ across, jacobian @ across, atol=1e-12)
+
+
+def test_a_step_into_what_cannot_be_simulated_is_shortened() -> None:
+    # The first full step from this side overshoots the limit, which lies just beyond the truth.
+    toy = Toy(limit=TRUTH[0] + 0.02)
+    solution = minimise(toy, start().at(np.log([3e4, 1.3e3])), tolerance=1e-8, relative_tolerance=0.0)
+    np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-4)
