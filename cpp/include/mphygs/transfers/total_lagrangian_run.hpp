@@ -35,6 +35,9 @@ class TotalLagrangianRun {
                 }
             }
         }
+        for (int k = 0; k < K; ++k) {
+            used_ = inputs.direction[k] ? k + 2 : used_;
+        }
         // Packed per block, in the sorted order, so that a substep reads straight through.
         prestressed_ = !inputs.primal->deformation0.empty();
         mu_.resize(blocks);
@@ -248,7 +251,7 @@ class TotalLagrangianRun {
             stress = p.stress;
             if (model_.sites_.body_volume) {
                 const Vec3<S> force = mass_points_[b] * p.acceleration;
-                for (int l = 0; l < lanes; ++l) {
+                for (int l = 0; l < used_; ++l) {
                     Vec3<Pack<T>> part;
                     for (int c = 0; c < 3; ++c) {
                         part[c] = lane_of(force[c], l);
@@ -262,7 +265,7 @@ class TotalLagrangianRun {
             stress = stress * transpose(f0_[b]);
         }
         stress = (-volume_[b]) * stress;
-        for (int l = 0; l < lanes; ++l) {
+        for (int l = 0; l < used_; ++l) {
             scatter_gradient<T>(get_lane<Pack<T>>(stress, l), out + static_cast<std::size_t>(l) * 3 * span, span, rows, table);
         }
     }
@@ -284,7 +287,7 @@ class TotalLagrangianRun {
         Mat3<P> stress = law.stress();  // without the volume: the directions need it
         const Mat3<P> pulled = prestressed_ ? stress * f0t : stress;
         scatter_gradient<T>(volume * pulled, out, span, rows, table);
-        for (int l = 1; l < lanes; ++l) {
+        for (int l = 1; l < used_; ++l) {
             Mat3<P> df = gather_gradient<T>(u_.data() + at(l, 0, 0), stride_, rows, table);
             Mat3<P> df0;
             if (prestressed_) {
@@ -304,12 +307,12 @@ class TotalLagrangianRun {
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
         const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
         Mat3<S> gradient;
-        for (int l = 0; l < lanes; ++l) {
+        for (int l = 0; l < used_; ++l) {
             set_lane(gradient, l, gather_gradient<T>(u_.data() + at(l, 0, 0), stride_, rows, table));
         }
         p.deformation = prestressed_ ? f0_[b] + gradient * f0_[b] : Mat3<S>::identity() + gradient;
         if (model_.sites_.rate) {
-            for (int l = 0; l < lanes; ++l) {
+            for (int l = 0; l < used_; ++l) {
                 set_lane(gradient, l, gather_gradient<T>(v_.data() + at(l, 0, 0), stride_, rows, table));
             }
             p.rate = prestressed_ ? gradient * f0_[b] : gradient;
@@ -326,7 +329,7 @@ class TotalLagrangianRun {
         const ValueTable<T>& table = model_.surface_values_[b];
         SurfacePoint<S> p;
         const double* rest = &model_.geometry_.surface_points[24 * static_cast<std::size_t>(model_.surface_order_[b])];
-        for (int l = 0; l < lanes; ++l) {
+        for (int l = 0; l < used_; ++l) {
             const Vec3<Pack<T>> u = gather_value<T>(u_.data() + at(l, 0, 0), stride_, rows, table);
             const Vec3<Pack<T>> v = gather_value<T>(v_.data() + at(l, 0, 0), stride_, rows, table);
             for (int c = 0; c < 3; ++c) {
@@ -347,7 +350,7 @@ class TotalLagrangianRun {
     void surface_forces(std::size_t b, double time, T* out, std::size_t span) const {
         const Vec3<S> force = evaluate_surface(model_.slots_, uniforms_.data(), surface_point(b, time));
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.surface_rows_[b].data());
-        for (int l = 0; l < lanes; ++l) {
+        for (int l = 0; l < used_; ++l) {
             Vec3<Pack<T>> part;
             for (int c = 0; c < 3; ++c) {
                 part[c] = lane_of(force[c], l);
@@ -651,6 +654,7 @@ class TotalLagrangianRun {
     const Schedule& schedule_;
     std::size_t stride_, size_;
     bool prestressed_ = false;
+    int used_ = 1;  // lanes: the value and the directions that are given
     std::vector<T> u_, v_, f_, mass_, inverse_mass_;  // lane, component, node
     std::vector<S> mu_, lambda_, volume_, mass_points_, history_;
     std::vector<Mat3<S>> f0_;
