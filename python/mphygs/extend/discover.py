@@ -13,13 +13,14 @@ from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.grids import known_budget, on_grid, onward, probed, refined, with_budget
 from mphygs.extend.prune import pruned
+from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import Step, does_alike, excess
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.schedule import fit_belief
+from mphygs.fit.schedule import default_spacing, fit_belief, plan_of
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -39,6 +40,9 @@ LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
 HOPELESS = 10.0
 # Refits over a window within this factor of the best chi^2 are continued on all frames.
 ALIKE = 1.35
+# A grid within this factor of the default one is no screening grid; on others a fit is not worth its last
+# digits.
+FINE, SCREENING_ACCURACY = 1.1, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +87,9 @@ def first_fit(
     """Fit a model and compare it."""
     for name in experiment.fitted:
         experiment.predictor(name, spacing)
+    plan = plan_of(experiment.capture, spacing, warm=warm)
+    if spacing > FINE * default_spacing(experiment.capture):
+        plan = tuple(replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY)) for stage in plan)
     solution, _ = fit_belief(
         experiment.capture,
         experiment.starting(belief),
@@ -92,6 +99,7 @@ def first_fit(
         report=report,
         problems=experiment.problems,
         warm=warm,
+        plan=plan,
     )
     compared = experiment.compare(solution.belief, spacing)
     return Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
@@ -237,7 +245,14 @@ def settled(
         if rival.spacing != best.spacing:
             if not best.explained:
                 continue
-            moved = on_grid(experiment, rival, best.spacing, report)
+            reached = best.solution.evaluation
+            moved = on_grid(
+                experiment,
+                rival,
+                best.spacing,
+                report,
+                hopeless=(ALIKE * reached.chi_square / max(reached.data_rows, 1)) ** 0.5,
+            )
             if moved is None:
                 continue
             rival = moved
@@ -294,8 +309,20 @@ def discover(
         if on_step:
             on_step(steps[-1])
 
+    def judged(step: Step) -> Step:
+        """The step, asked for all frames where only unseen ones are off, on the grid that decides."""
+        if screening and step.spacing > FINE * default_spacing(experiment.capture):
+            return step
+        after = reconciled(experiment, step, report)
+        if after.reconciled:
+            warnings.append(
+                f"{' + '.join(after.added) or 'first model'}: fitted to all frames it explains them; what "
+                "it misses of unseen frames is what the fitted ones leave open"
+            )
+        return after
+
     without_bad_tracks()
-    steps[-1] = refined(experiment, steps, report, screening=screening)
+    steps[-1] = judged(refined(experiment, steps, report, screening=screening))
     simple = without_loads(experiment)
     if simple and len(steps) == 1 and not steps[0].explained:
         say(f"first {', '.join(simple)}: no load pulls there")
@@ -357,7 +384,7 @@ def discover(
         others = [step_of(r, spacing, (), window[0]) for r in rivals]
         last = settled(experiment, steps, step, others, report, screening=screening)
         earlier = [name for before in steps for name in before.added]
-        steps.append(pruned(experiment, last, earlier, report))
+        steps.append(judged(pruned(experiment, last, earlier, report)))
         if on_step:
             on_step(steps[-1])
         without_bad_tracks()

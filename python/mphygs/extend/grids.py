@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.step import Step, excess
+from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
-from mphygs.fit.schedule import default_spacing, simulable
+from mphygs.fit.schedule import default_spacing, find_scale, simulable
+from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
@@ -19,6 +22,8 @@ from mphygs.simulate.errors import SimulationError
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
 # A misfit that a coarser grid has as well, within this factor, is looked for there.
 SAME_MISFIT = 1.3
+# The frames before something sets in, over those in which it was first seen.
+BEFORE = 0.85
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
 
@@ -45,12 +50,19 @@ def onward(share: float, kind: str) -> list[float]:
 
 
 def on_grid(
-    experiment: Experiment, step: Step, spacing: float, report: Callable[[str], None] | None = None
+    experiment: Experiment,
+    step: Step,
+    spacing: float,
+    report: Callable[[str], None] | None = None,
+    *,
+    hopeless: float = math.inf,
 ) -> Step | None:
     """The step refitted on another grid, None where it cannot be simulated there.
 
-    What sets in at some moment is refitted from there on: over all frames at once, what a coarse grid made of
-    it is hard to leave.
+    hopeless: misfit [sigma] of the fitted frames above which it is given up after the first iterations.
+
+    What sets in at some moment is refitted from there on (see `followed`): over all frames at once, what a
+    coarse grid made of it is hard to leave.
     """
     say = report or (lambda _text: None)
     say(f"refitting on a grid of {1e3 * spacing:.3g} mm")
@@ -64,15 +76,13 @@ def on_grid(
 
         late = step.since < 1.0 and any(effect(name).kind == "threshold" for name in step.added)
         if late:
-            belief = hold_friction(belief)
-            for share in [step.since, *onward(step.since, "threshold")][:-1]:
-                window = experiment.window(spacing, share)
-                belief = minimise(
-                    window, belief, iterations=ITERATIONS // 2, relative_tolerance=1e-3, report=tell
-                ).belief
-            belief = release_friction(belief)
+            belief = followed(experiment, belief, step.since, spacing, tell)
         solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, report=tell)
-        gross = solution.evaluation.chi_square > GROSS**2 * solution.evaluation.data_rows
+        misfit = (solution.evaluation.chi_square / max(solution.evaluation.data_rows, 1)) ** 0.5
+        if misfit > hopeless:
+            say(f"{', '.join(step.added)}: given up, others leave less")
+            return None
+        gross = misfit > GROSS
         if not solution.converged and not gross:
             left = ITERATIONS - FIRST
             solution = minimise(
@@ -92,6 +102,38 @@ def on_grid(
         assessment=assessment,
         spacing=spacing,
     )
+
+
+def followed(
+    experiment: Experiment,
+    belief: Belief,
+    since: float,
+    spacing: float,
+    tell: Callable[[int, object, object], None] | None = None,
+) -> Belief:
+    """The belief with what sets in at a share `since` of the frames, refitted from before that moment onward.
+
+    The materials begin anew from the frames before: those found without the effect are those that bent the
+    motion most, and what an impact sets swinging, seen thirty times a second, has many such minima.
+    """
+
+    def window(share: float, start: Belief, iterations: int) -> Belief:
+        problem = experiment.window(spacing, share)
+        return minimise(problem, start, iterations=iterations, relative_tolerance=1e-3, report=tell).belief
+
+    belief = hold_friction(belief)
+    before = [BEFORE * share * since for share in (0.5, 1.0)]
+    try:
+        anew = find_scale(experiment.window(spacing, before[0]), forget(belief))
+        for share in before:
+            anew = window(share, anew, ITERATIONS)
+        belief = anew
+    except SimulationError:
+        pass  # from what the coarser grid had
+    belief = release_friction(window(since, belief, ITERATIONS // 2))
+    for share in [since, *onward(since, "threshold")][1:-1]:
+        belief = window(share, belief, ITERATIONS // 2)
+    return belief
 
 
 def known_budget(step: Step) -> bool:

@@ -175,12 +175,12 @@ def finish_refit(
 
     try:
         belief = release_friction(begun.belief)
-        solution = minimise(problem, belief, iterations=3, relative_tolerance=3e-4, report=tell)
+        solution = minimise(problem, belief, iterations=3, relative_tolerance=1e-3, report=tell)
         if solution.evaluation.chi_square > hopeless:
             return None
         if not solution.converged:
             solution = minimise(
-                problem, solution.belief, iterations=iterations - 3, relative_tolerance=3e-4, report=tell
+                problem, solution.belief, iterations=iterations - 3, relative_tolerance=1e-3, report=tell
             )
         compared = experiment.compare(solution.belief, spacing)
     except SimulationError:

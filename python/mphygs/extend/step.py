@@ -22,7 +22,8 @@ CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 class Step:
     """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
     cannot tell from them; since: share of the fitted frames, from the first on, that they were found on;
-    dropped: effects of earlier steps that are superfluous with them."""
+    dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
+    fitted to all frames, explains them all."""
 
     belief: Belief
     solution: Solution
@@ -34,11 +35,13 @@ class Step:
     refits: tuple[Refit, ...] = ()
     since: float = 1.0
     dropped: tuple[str, ...] = ()
+    reconciled: bool = False
 
     @property
     def explained(self) -> bool:
         """Whether the error is at its floor; without any effect added, whether the model needs none."""
-        return self.assessment.adequate or bool(self.added) and self.assessment.worst <= EXPLAINED
+        near = bool(self.added) and self.assessment.worst <= EXPLAINED
+        return self.assessment.adequate or near or self.reconciled
 
 
 def excess(assessment: Assessment) -> float:
