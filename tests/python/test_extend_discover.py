@@ -286,11 +286,15 @@ def kept(
     rival becomes on it."""
     asked: list[float] = []
 
-    def refined(_experiment: object, steps: list[Step], _report: object, *, screening: bool) -> Step:
+    def refined(
+        _experiment: object, steps: list[Step], _report: object, *, screening: bool, tied: bool
+    ) -> Step:
         assert screening and len(steps) == 2
         return replace(steps[-1], spacing=grid) if grid != steps[-1].spacing else steps[-1]
 
-    def on_grid(_experiment: object, step: Step, spacing: float, _report: object) -> Step | None:
+    def on_grid(
+        _experiment: object, step: Step, spacing: float, _report: object, *, hopeless: float
+    ) -> Step | None:
         asked.append(spacing)
         return moved
 

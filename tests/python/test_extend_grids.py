@@ -120,7 +120,14 @@ def steps_told() -> tuple[float, float]:
     return 1.7 * default(), default()
 
 
-def told(monkeypatch: pytest.MonkeyPatch, step: Step, *, screening: bool, after: Step | None = None) -> list:
+def told(
+    monkeypatch: pytest.MonkeyPatch,
+    step: Step,
+    *,
+    screening: bool,
+    tied: bool = False,
+    after: Step | None = None,
+) -> list:
     """What `refined` does with a step: ("grid", spacing) and "budget"; after: the step on the finer grid."""
     done: list = []
 
@@ -134,7 +141,7 @@ def told(monkeypatch: pytest.MonkeyPatch, step: Step, *, screening: bool, after:
 
     monkeypatch.setattr(grids, "on_grid", on_grid)
     monkeypatch.setattr(grids, "with_budget", with_budget)
-    found = grids.refined(scene()[0], [step], None, screening=screening)
+    found = grids.refined(scene()[0], [step], None, screening=screening, tied=tied)
     assert found is (after if ("grid", default()) in done and after is not None else step)
     return done
 
@@ -160,6 +167,11 @@ def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyP
     assert told(monkeypatch, replace(explained, spacing=fine), screening=True) == []
     enough = step_of(assessment_of(1.08), added=("viscosity",), spacing=coarse)
     assert told(monkeypatch, enough, screening=True) == []
+    # Of those that do alike the default grid tells, however little is left on the coarse one.
+    decided = replace(enough, spacing=fine)
+    assert told(monkeypatch, enough, screening=True, tied=True, after=decided) == [("grid", fine)]
+    assert told(monkeypatch, decided, screening=True, tied=True) == []
+    assert told(monkeypatch, enough, screening=False, tied=True) == []
     far = step_of(assessment_of(LARGEST_GRID_ERROR + 0.1), spacing=fine)
     assert told(monkeypatch, far, screening=False) == []
     assert told(monkeypatch, replace(far, assessment=assessment_of(4.0)), screening=False) == ["budget"]

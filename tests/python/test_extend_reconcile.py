@@ -22,13 +22,17 @@ SPACING = 0.01
 
 @cache
 def scene(damping: float = 0.0) -> tuple[Experiment, Belief]:
-    """A bar let go at rest without its weight: the first frames hardly tell its stiffness."""
+    """A bar let go at rest: the first frames hardly tell its stiffness. It has a wall, out of reach."""
     capture = bar_capture(frames=24, fps=100.0, fit=(0, 4))
     sequence = replace(capture.sequences[0], predict=(4, 24))
     capture = replace(capture, sequences=(sequence,))
     elastic = bar_belief(capture, youngs_modulus=6e4, free=FREE)
     truth = elastic.with_effect("mass_damping", {"alpha": damping}) if damping else elastic
-    return Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1)), elastic
+    experiment = Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1))
+    wall = elastic.with_effect("contact", {"d": -1.0, "n_x": 0.0, "n_y": 0.0, "n_z": 1.0})
+    return experiment, replace(
+        wall, parameters=tuple(replace(p, free=p.key in FREE) for p in wall.parameters)
+    )
 
 
 def off(damping: float = 0.0) -> tuple[Experiment, Step]:
@@ -70,6 +74,12 @@ def test_fitted_frames_that_are_off_are_not_asked_again() -> None:
     step = step_at(experiment, truth.with_parameter(FREE[0], value=3e4), SPACING)
     assert step.assessment.ratio["a"]["fit"] > 1.3
     assert reconciled(experiment, step, None) is step
+
+
+def test_smooth_models_have_no_such_excuse() -> None:
+    experiment, step = off()
+    smooth = replace(step, belief=step.belief.without_effect("contact"))
+    assert not smooth.explained and reconciled(experiment, smooth, None) is smooth
 
 
 def test_an_explained_step_is_left_alone() -> None:

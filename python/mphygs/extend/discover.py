@@ -25,8 +25,9 @@ from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-# Effects whose excess is within this factor of the best one's, or below the second number, are its rivals.
-RIVAL, ALIKE_EXCESS = 2.0, 0.1
+# Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
+# many at most.
+RIVAL, ALIKE_EXCESS, RIVALS = 2.0, 0.1, 4
 LARGEST_MODEL = 3
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
@@ -200,7 +201,7 @@ def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
     ordered = sorted(refits, key=lambda r: excess(r.assessment))
     best = ordered[0]
     limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
-    return best, [r for r in ordered[1:] if excess(r.assessment) < limit]
+    return best, [r for r in ordered[1:] if excess(r.assessment) < limit][:RIVALS]
 
 
 def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float) -> Step:
@@ -241,7 +242,8 @@ def settled(
     """
     tried = best.refits
     best, rivals = plainest(best, rivals)
-    best = refined(experiment, [*steps, best], report, screening=screening)
+    tied_there = any(does_alike(r, best) for r in rivals)
+    best = refined(experiment, [*steps, best], report, screening=screening, tied=tied_there)
     alike = []
     for rival in rivals:
         if rival.spacing != best.spacing:

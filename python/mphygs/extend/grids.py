@@ -162,13 +162,19 @@ def refined(
     report: Callable[[str], None] | None,
     *,
     screening: bool,
+    tied: bool = False,
 ) -> Step:
     """The last step on the grid that its misfit asks for, with its error budget where that decides.
 
-    screening: whether the grid so far was only for trying many models, and another may be chosen.
+    screening: whether the grid so far was only for trying many models, and another may be chosen; tied:
+    whether others do alike, which the default grid decides: kinds of damping, say, differ by less than the
+    error of a coarse one.
     """
     current = steps[-1]
     spacing = next_spacing(experiment, steps) if screening and not current.explained else None
+    default = default_spacing(experiment.capture)
+    if screening and tied and current.explained and current.spacing > 1.1 * default:
+        spacing = default
     if spacing is not None:
         current = on_grid(experiment, current, spacing, report) or current
     fine = not screening or current.spacing < 1.1 * default_spacing(experiment.capture)

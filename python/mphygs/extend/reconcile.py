@@ -2,7 +2,9 @@
 
 A wall that was touched once says little of how it stands: where it is met a second time, in frames that were
 not fitted, the prediction is off by far more than noise, and nothing is missing but a measurement. Such a
-model explains all frames as soon as it may see them; one that lacks something does not.
+model explains all frames as soon as it may see them; one that lacks something does not. This is so where
+something sets in at a moment (walls, yielding); smooth effects have no such excuse, and materials that may
+see all frames would hide a weak one.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
 # Worth asking while the fitted frames are this near to the floor.
@@ -36,7 +39,8 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
     Its numbers stay those of the fitted frames.
     """
     near = all(ranges.get("fit", 1.0) <= NEAR for ranges in step.assessment.ratio.values())
-    if step.explained or not near:
+    sets_in = any(effect(name).kind == "threshold" for name in step.belief.effects)
+    if step.explained or not near or not sets_in:
         return step
     say = report or (lambda _text: None)
     whole = on_all_frames(experiment)
