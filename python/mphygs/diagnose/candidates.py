@@ -65,6 +65,13 @@ def spread_places(body: Body, count: int) -> np.ndarray:
     return points[chosen]
 
 
+def mass_way(belief: Belief, place: np.ndarray) -> Way:
+    """A point mass at a place (3,) [m]."""
+    at = ", ".join(f"{x:.3f}" for x in place)
+    settings = {"place": np.asarray(place, float).tolist()}
+    return _way(belief, "attached_mass", f"attached_mass at ({at})", ["m"], settings=settings)
+
+
 def principal_axis(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """(3,) direction of the largest spread of weighted points."""
     centred = points - np.average(points, axis=0, weights=weights)
@@ -122,9 +129,7 @@ def smooth_ways(
                 flow = {f"w_{b}": 2.0 * sign * (k == j) for j, b in enumerate("xyz")}
                 add("wind", f"wind towards {'+' if sign > 0 else '-'}{a}", ["c_d"], values=flow)
     if "attached_mass" in wanted:
-        for place in spread_places(body, PLACES):
-            at = ", ".join(f"{x:.3f}" for x in place)
-            add("attached_mass", f"attached_mass at ({at})", ["m"], settings={"place": place.tolist()})
+        ways += [mass_way(belief, place) for place in spread_places(body, PLACES)]
         for settings in hung:
             add("attached_mass", hung_label(settings), ["m"], settings=settings)
     if "tether" in wanted:

@@ -12,6 +12,7 @@ from mphygs.diagnose.candidates import Way, base_motion_ways, smooth_ways, start
 from mphygs.diagnose.contact_search import search, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
+from mphygs.diagnose.places import mass_between
 from mphygs.diagnose.power import detectable_length
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
@@ -181,6 +182,11 @@ def rank(
     # Decoys draw numbers of their own: the rest is the same with and without them.
     tangents, fakes = _stack(experiment, problem, belief, ways, report, generator.spawn(1)[0])
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
+    between = mass_between(belief, body, ways, tangents, full_residual, full_jacobian)
+    if between is not None:
+        more, _ = _stack(experiment, problem, belief, [between], None, np.random.default_rng(0))
+        ways = [*ways, between]
+        tangents = np.hstack([tangents, np.vstack([more, np.zeros((len(prior), more.shape[1]))])])
     candidates, at = [], 0
     for way in ways:
         count = len(way.columns)
