@@ -201,3 +201,23 @@ def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None
     assert grids.excess(assessment_of(2.0, 0.5)) == pytest.approx(1.5)
     assert grids.excess(excess_of(0.3)) == pytest.approx(0.3)
     assert np.isclose(grids.excess(assessment_of(1.0)), 0.0)
+
+
+# ---- the last digits --------------------------------------------------------------------------
+def test_what_is_concluded_is_told_to_its_last_digits() -> None:
+    experiment, truth = scene()
+    near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
+    best = step_at(experiment, truth, FINE, added=("viscosity",)).solution.evaluation.cost
+    said: list[str] = []
+    after = grids.polished(experiment, near, said.append)
+    assert after.solution.evaluation.cost < min(near.solution.evaluation.cost, best + 1e-6)
+    assert after.explained and "last digits" in said[0]
+    again = grids.polished(experiment, after)
+    assert again.belief[FREE[0]].value == pytest.approx(after.belief[FREE[0]].value, rel=1e-5)
+
+
+def test_a_step_that_loses_its_floor_in_the_last_digits_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, truth = scene()
+    near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
+    monkeypatch.setattr(experiment, "assess", lambda _compared: assessment_of(9.0))
+    assert grids.polished(experiment, near) is near

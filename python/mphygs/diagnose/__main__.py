@@ -29,6 +29,7 @@ from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
+from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.tables import parameters_of
 from mphygs.model.registry import effects
 from mphygs.simulate.settings import check_effects
@@ -75,8 +76,17 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     experiment, belief = experiment_of(state, workers=options.workers)
     spacing = state.settings.spacing
     first = step_at(experiment, belief, spacing)
+    # Many models are tried on a coarser grid, unless the run stands on one of the user's choice.
+    usual = abs(spacing / default_spacing(experiment.capture) - 1.0) < 0.1
     found = discover(
-        experiment, belief, spacing, seed=state.seed, names=candidates, start=(first,), report=console.say
+        experiment,
+        belief,
+        screening_spacing(experiment.capture) if usual else spacing,
+        seed=state.seed,
+        names=candidates,
+        start=(first,),
+        screening=usual,
+        report=console.say,
     )
     if found.rankings:
         ranking = found.rankings[0]

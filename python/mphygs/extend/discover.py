@@ -11,7 +11,7 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
-from mphygs.extend.grids import known_budget, on_grid, onward, probed, refined, with_budget
+from mphygs.extend.grids import known_budget, on_grid, onward, polished, probed, refined, with_budget
 from mphygs.extend.prune import pruned
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
@@ -184,6 +184,7 @@ def refits_of(
             solution,
             spacing,
             generator=generator,
+            accuracy=SCREENING_ACCURACY,
             hopeless=ALIKE * max(best, solution.evaluation.data_rows),  # nothing is better than noise
             report=say,
         )
@@ -393,9 +394,11 @@ def discover(
             on_step(steps[-1])
         without_bad_tracks()
     experiment.whole = ()
-    if steps[-1].added and steps[-1].explained and not known_budget(steps[-1]):
-        # What was found is told with the grid's share of its uncertainty.
-        steps[-1] = with_budget(experiment, steps[-1], report)
+    if steps[-1].added and steps[-1].explained:
+        # What was found is told to its last digits, and with the grid's share of its uncertainty.
+        steps[-1] = polished(experiment, steps[-1], report)
+        if not known_budget(steps[-1]):
+            steps[-1] = with_budget(experiment, steps[-1], report)
     return _conclude(steps, rankings, warnings)
 
 

@@ -26,6 +26,8 @@ SAME_MISFIT = 1.3
 BEFORE = 0.85
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
+# Share of the cost that the last step of what is concluded may promise.
+LAST_DIGITS = 1e-5
 
 
 def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
@@ -134,6 +136,22 @@ def followed(
     for share in [since, *onward(since, "threshold")][1:-1]:
         belief = window(share, belief, ITERATIONS // 2)
     return belief
+
+
+def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
+    """The step with its numbers at the minimum, to a small share of their errors; refits stop short."""
+    say = report or (lambda _text: None)
+    problem = experiment.problem(step.spacing)
+    solution = minimise(problem, step.belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)
+    if solution.belief is step.belief:
+        return step
+    compared = experiment.compare(solution.belief, step.spacing)
+    assessment = experiment.assess(compared)
+    after = replace(
+        step, belief=solution.belief, solution=solution, compared=compared, assessment=assessment
+    )
+    say(f"last digits: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    return after if after.explained else step
 
 
 def known_budget(step: Step) -> bool:

@@ -158,13 +158,14 @@ def finish_refit(
     *,
     generator: np.random.Generator,
     iterations: int = 10,
+    accuracy: float = 1e-4,
     hopeless: float = math.inf,
     report: Callable[[str], None] | None = None,
 ) -> Refit | None:
     """Bring a refit that was begun to its minimum and judge it.
 
-    hopeless: chi^2 above which it is given up after three iterations. None where it is, or where its motion
-    cannot be simulated.
+    accuracy: share of the cost that a last step may promise; hopeless: chi^2 above which it is given up after
+    three iterations. None where it is, or where its motion cannot be simulated.
     """
     problem = experiment.problem(spacing)
 
@@ -175,12 +176,12 @@ def finish_refit(
 
     try:
         belief = release_friction(begun.belief)
-        solution = minimise(problem, belief, iterations=3, relative_tolerance=1e-3, report=tell)
+        solution = minimise(problem, belief, iterations=3, relative_tolerance=accuracy, report=tell)
         if solution.evaluation.chi_square > hopeless:
             return None
         if not solution.converged:
             solution = minimise(
-                problem, solution.belief, iterations=iterations - 3, relative_tolerance=1e-3, report=tell
+                problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
             )
         compared = experiment.compare(solution.belief, spacing)
     except SimulationError:
