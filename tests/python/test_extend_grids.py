@@ -216,6 +216,14 @@ def test_what_is_concluded_is_told_to_its_last_digits() -> None:
     assert again.belief[FREE[0]].value == pytest.approx(after.belief[FREE[0]].value, rel=1e-5)
 
 
+def test_what_the_grid_excuses_is_excused_after_the_last_digits() -> None:
+    experiment, truth = scene()
+    near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
+    known = grids.with_budget(experiment, near)
+    assert grids.known_budget(known) and grids.known_budget(grids.polished(experiment, known))
+    assert not grids.known_budget(grids.polished(experiment, near))
+
+
 def test_a_step_that_loses_its_floor_in_the_last_digits_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, truth = scene()
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))

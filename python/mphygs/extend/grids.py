@@ -145,7 +145,8 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
     solution = minimise(problem, step.belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)
     if solution.belief is step.belief:
         return step
-    compared = experiment.compare(solution.belief, step.spacing)
+    # Where a refinement excused a part of the misfit, it is asked again.
+    compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
     assessment = experiment.assess(compared)
     after = replace(
         step, belief=solution.belief, solution=solution, compared=compared, assessment=assessment
