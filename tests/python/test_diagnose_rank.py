@@ -121,3 +121,10 @@ def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyP
     for name in ("search", "plasticity_trials", "hung_trials"):
         monkeypatch.setattr(ranking, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
     assert [entry.effect for entry in ranked("viscosity").entries] == ["viscosity"]
+
+
+def test_a_mass_is_ranked_at_the_place_between_those_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = {score.name for score in ranked("attached_mass").table.scores}
+    monkeypatch.setattr(ranking, "mass_between", lambda *_: None)
+    corners = {score.name for score in ranked("attached_mass").table.scores}
+    assert corners < tried and len(tried - corners) == 1

@@ -394,10 +394,10 @@ def discover(
             on_step(steps[-1])
         without_bad_tracks()
     experiment.whole = ()
-    if steps[-1].added and steps[-1].explained:
-        # What was found is told to its last digits, and with the grid's share of its uncertainty.
+    if steps[-1].explained:
+        # What is concluded is told to its last digits, what was found with the grid's share of its errors.
         steps[-1] = polished(experiment, steps[-1], report)
-        if not known_budget(steps[-1]):
+        if steps[-1].added and not known_budget(steps[-1]):
             steps[-1] = with_budget(experiment, steps[-1], report)
     return _conclude(steps, rankings, warnings)
 

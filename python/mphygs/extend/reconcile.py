@@ -52,7 +52,7 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
         solution = minimise(
             whole.problem(step.spacing), belief, iterations=ITERATIONS, relative_tolerance=1e-3
         )
-        compared = whole.compare(solution.belief, step.spacing, jacobian=True, refine=True)
+        compared = whole.compare(solution.belief, step.spacing, refine=True)
     except SimulationError:
         return step
     assessment = whole.assess(compared)
