@@ -19,9 +19,10 @@ from extend_example import (
     step_of,
 )
 from mphygs.diagnose.rank import Entry, Ranking
-from mphygs.extend import discover, window
-from mphygs.extend.discover import promising, settled
+from mphygs.extend import discover, settle, window
+from mphygs.extend.discover import promising
 from mphygs.extend.grids import onward
+from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
 from mphygs.extend.window import tractable_window
 from mphygs.fit.levenberg_marquardt import Solution
@@ -293,13 +294,14 @@ def kept(
         return replace(steps[-1], spacing=grid) if grid != steps[-1].spacing else steps[-1]
 
     def on_grid(
-        _experiment: object, step: Step, spacing: float, _report: object, *, hopeless: float
+        _experiment: object, step: Step, spacing: float, _report: object, *, hopeless: float, tangents: bool
     ) -> Step | None:
+        assert not tangents  # a rival needs them only where it is kept
         asked.append(spacing)
         return moved
 
-    monkeypatch.setattr(discover, "refined", refined)
-    monkeypatch.setattr(discover, "on_grid", on_grid)
+    monkeypatch.setattr(settle, "refined", refined)
+    monkeypatch.setattr(settle, "on_grid", on_grid)
     found = settled(None, [step_of(assessment_of(20.0))], best, rivals, None, screening=True)
     assert set(asked) <= {grid}
     return found

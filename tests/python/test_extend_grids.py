@@ -88,6 +88,20 @@ def test_a_step_is_refitted_on_another_grid() -> None:
     assert "7.5 mm" in said[0] and "->" in said[-1]
 
 
+def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:
+    experiment, truth = scene()
+    before = step_at(experiment, truth.with_parameter(FREE[0], value=7e4), COARSE, added=("viscosity",))
+    assert grids.complete(experiment, before) is before
+    rival = grids.on_grid(experiment, before, FINE, tangents=False)
+    assert [item.jacobian.shape[-1] for item in rival.compared.values()] == [0]
+    kept = grids.complete(experiment, rival)
+    assert [item.jacobian.shape[-1] for item in kept.compared.values()] == [len(FREE)]
+    assert kept.assessment.ratio == rival.assessment.ratio
+    # what one stiffness absorbs is one degree of freedom
+    assert kept.assessment.floor.degrees == rival.assessment.floor.degrees - len(FREE)
+    assert grids.refined(experiment, [before, rival], None, screening=False).assessment.adequate
+
+
 def test_no_step_where_another_grid_cannot_carry_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, truth = scene()
 

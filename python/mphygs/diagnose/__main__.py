@@ -78,10 +78,11 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     first = step_at(experiment, belief, spacing)
     # Many models are tried on a coarser grid, unless the run stands on one of the user's choice.
     usual = abs(spacing / default_spacing(experiment.capture) - 1.0) < 0.1
+    trying = screening_spacing(experiment.capture) if usual else spacing
     found = discover(
         experiment,
         belief,
-        screening_spacing(experiment.capture) if usual else spacing,
+        trying,
         seed=state.seed,
         names=candidates,
         start=(first,),
@@ -96,7 +97,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
         missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
     keep_missing_force(missing, state.folder)
-    motions = motions_to_record(found, experiment, report=console.say)
+    motions = motions_to_record(found, experiment, trying, report=console.say)
     document = diagnosis_document(found, ranking, experiment, missing, motions)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
     lines = diagnosis_text(plain(document))

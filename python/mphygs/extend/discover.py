@@ -11,12 +11,13 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
-from mphygs.extend.grids import known_budget, on_grid, onward, polished, probed, refined, with_budget
+from mphygs.extend.grids import known_budget, onward, polished, probed, refined, with_budget
 from mphygs.extend.prune import pruned
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
+from mphygs.extend.settle import ALIKE, choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
-from mphygs.extend.step import Step, does_alike, excess
+from mphygs.extend.step import Step
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -25,9 +26,6 @@ from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-# Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
-# many at most.
-RIVAL, ALIKE_EXCESS, RIVALS = 2.0, 0.1, 4
 LARGEST_MODEL = 3
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
@@ -40,8 +38,6 @@ SIGNIFICANT = 1e-3
 LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
 # An effect that leaves so many times the best one's chi^2 after an iteration is not followed.
 HOPELESS = 10.0
-# Refits over a window within this factor of the best chi^2 are continued on all frames.
-ALIKE = 1.35
 # A grid within this factor of the default one is no screening grid; on others a fit is not worth its last
 # digits.
 FINE, SCREENING_ACCURACY = 1.1, 1e-3
@@ -195,80 +191,6 @@ def refits_of(
                 "in the worst range"
             )
     return finished
-
-
-def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The refit that explains most on all frames, and its rivals: those that explain nearly as much."""
-    ordered = sorted(refits, key=lambda r: excess(r.assessment))
-    best = ordered[0]
-    limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
-    return best, [r for r in ordered[1:] if excess(r.assessment) < limit][:RIVALS]
-
-
-def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float) -> Step:
-    """The model of a refit as a step. since: see `Step`."""
-    added = (refit.entry.effect,)
-    return Step(
-        refit.belief,
-        refit.solution,
-        refit.compared,
-        refit.assessment,
-        spacing,
-        added,
-        (),
-        tuple(refits),
-        since,
-    )
-
-
-def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
-    """Of those that do as well as the best the one with fewest parameters, and the rest."""
-    same = [best, *(r for r in rivals if r.spacing == best.spacing and does_alike(r, best))]
-    chosen = min(same, key=lambda step: (len(step.belief.free), excess(step.assessment)))
-    return chosen, [step for step in (best, *rivals) if step is not chosen]
-
-
-def settled(
-    experiment: Experiment,
-    steps: Sequence[Step],
-    best: Step,
-    rivals: Sequence[Step],
-    report: Callable[[str], None] | None,
-    *,
-    screening: bool,
-) -> Step:
-    """The better of the best step and its rivals on the grid that the best one asks for, with its ties.
-
-    What reaches the floor as well cannot be told from it.
-    """
-    tried = best.refits
-    best, rivals = plainest(best, rivals)
-    tied_there = any(does_alike(r, best) for r in rivals)
-    best = refined(experiment, [*steps, best], report, screening=screening, tied=tied_there)
-    alike = []
-    for rival in rivals:
-        if rival.spacing != best.spacing:
-            if not best.explained:
-                continue
-            reached = best.solution.evaluation
-            moved = on_grid(
-                experiment,
-                rival,
-                best.spacing,
-                report,
-                hopeless=(ALIKE * reached.chi_square / max(reached.data_rows, 1)) ** 0.5,
-            )
-            if moved is None:
-                continue
-            rival = moved
-        alike.append(rival)
-    alike.sort(key=lambda step: excess(step.assessment))
-    if alike and not does_alike(best, alike[0]):
-        best, alike = alike[0], [best, *alike[1:]]
-    tied = [best, *(r for r in alike if does_alike(r, best))]
-    # Of models that do alike the one with fewest parameters comes first.
-    tied.sort(key=lambda step: (len(step.belief.free), excess(step.assessment)))
-    return replace(tied[0], refits=tried, ties=tuple(r.added[0] for r in tied[1:]))
 
 
 def discover(

@@ -58,10 +58,12 @@ def on_grid(
     report: Callable[[str], None] | None = None,
     *,
     hopeless: float = math.inf,
+    tangents: bool = True,
 ) -> Step | None:
     """The step refitted on another grid, None where it cannot be simulated there.
 
-    hopeless: misfit [sigma] of the fitted frames above which it is given up after the first iterations.
+    hopeless: misfit [sigma] of the fitted frames above which it is given up after the first iterations;
+    tangents: whether it may be concluded from (see `complete`).
 
     What sets in at some moment is refitted from there on (see `followed`): over all frames at once, what a
     coarse grid made of it is hard to leave.
@@ -90,7 +92,7 @@ def on_grid(
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=1e-3, report=tell
             )
-        compared = experiment.compare(solution.belief, spacing)
+        compared = experiment.compare(solution.belief, spacing, jacobian=tangents)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
@@ -155,6 +157,14 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
     return after if after.explained else step
 
 
+def complete(experiment: Experiment, step: Step) -> Step:
+    """The step with the tangents of its prediction, which the floor test takes and rivals go without."""
+    if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
+        return step
+    compared = experiment.compare(step.belief, step.spacing, refine=known_budget(step))
+    return replace(step, compared=compared, assessment=experiment.assess(compared))
+
+
 def known_budget(step: Step) -> bool:
     """Whether a refinement of the step's model has been run."""
     return any(item.refinement is not None for item in step.compared.values())
@@ -189,7 +199,7 @@ def refined(
     whether others do alike, which the default grid decides: kinds of damping, say, differ by less than the
     error of a coarse one.
     """
-    current = steps[-1]
+    current = complete(experiment, steps[-1])
     spacing = next_spacing(experiment, steps) if screening and not current.explained else None
     default = default_spacing(experiment.capture)
     if screening and tied and current.explained and current.spacing > 1.1 * default:

@@ -29,8 +29,9 @@ SHORTEST_SUBSTEP = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A model with an effect added. gain: on unseen frames over the model before; actual_drop: of chi^2 on
-    the fitted frames, to hold against entry.statistic."""
+    """A model with an effect added. compared: without tangents, which only the one that is kept needs; gain:
+    on unseen frames over the model before; actual_drop: of chi^2 on the fitted frames, to hold against
+    entry.statistic."""
 
     entry: Entry
     solution: Solution
@@ -183,7 +184,7 @@ def finish_refit(
             solution = minimise(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
             )
-        compared = experiment.compare(solution.belief, spacing)
+        compared = experiment.compare(solution.belief, spacing, jacobian=False)
     except SimulationError:
         return None
     assessment = experiment.assess(compared)

@@ -18,9 +18,15 @@ from mphygs.model.belief import Belief
 
 
 def motions_to_record(
-    found: Discovery, experiment: Experiment, *, report: Callable[[str], None] | None = None
+    found: Discovery,
+    experiment: Experiment,
+    spacing: float,
+    *,
+    report: Callable[[str], None] | None = None,
 ) -> tuple[Proposed, ...]:
     """Motions that would tell the first effect found from its closest rival, the best first.
+
+    spacing: of the grid that simulates them [m]; a coarse one ranks motions as well as a fine one.
 
     None without a rival, for effects that no tangent describes, and where nothing that could be moved is
     held.
@@ -33,7 +39,7 @@ def motions_to_record(
     entries = {entry.effect: entry for ranking in reversed(rankings) for entry in ranking.entries}
     belief = _without_last(found.steps[number - 1], step)
     name = next(iter(experiment.fitted))
-    predictor = experiment.predictor(name, step.spacing)
+    predictor = experiment.predictor(name, spacing)
     hung = masses_of_loads(experiment.capture, [name])
     ways = smooth_ways(belief, predictor.body, names=[leader, *step.ties], hung=hung)
     first = _way_of(entries.get(leader), ways)

@@ -1,0 +1,93 @@
+"""Which of the refitted models is kept: the best, on the grid that decides, and what ties with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from mphygs.extend.grids import complete, on_grid, refined
+from mphygs.extend.refit import Refit
+from mphygs.extend.step import Step, does_alike, excess
+from mphygs.fit.experiment import Experiment
+
+# Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
+# many at most.
+RIVAL, ALIKE_EXCESS, RIVALS = 2.0, 0.1, 4
+# Refits within this factor of the best chi^2 may still be the best one: on more frames, on a finer grid.
+ALIKE = 1.35
+
+
+def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The refit that explains most on all frames, and its rivals: those that explain nearly as much."""
+    ordered = sorted(refits, key=lambda r: excess(r.assessment))
+    best = ordered[0]
+    limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
+    return best, [r for r in ordered[1:] if excess(r.assessment) < limit][:RIVALS]
+
+
+def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float) -> Step:
+    """The model of a refit as a step. since: see `Step`."""
+    added = (refit.entry.effect,)
+    return Step(
+        refit.belief,
+        refit.solution,
+        refit.compared,
+        refit.assessment,
+        spacing,
+        added,
+        (),
+        tuple(refits),
+        since,
+    )
+
+
+def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
+    """Of those that do as well as the best the one with fewest parameters, and the rest."""
+    same = [best, *(r for r in rivals if r.spacing == best.spacing and does_alike(r, best))]
+    chosen = min(same, key=lambda step: (len(step.belief.free), excess(step.assessment)))
+    return chosen, [step for step in (best, *rivals) if step is not chosen]
+
+
+def settled(
+    experiment: Experiment,
+    steps: Sequence[Step],
+    best: Step,
+    rivals: Sequence[Step],
+    report: Callable[[str], None] | None,
+    *,
+    screening: bool,
+) -> Step:
+    """The better of the best step and its rivals on the grid that the best one asks for, with its ties.
+
+    What reaches the floor as well cannot be told from it.
+    """
+    tried = best.refits
+    best, rivals = plainest(best, rivals)
+    tied_there = any(does_alike(r, best) for r in rivals)
+    best = refined(experiment, [*steps, best], report, screening=screening, tied=tied_there)
+    alike = []
+    for rival in rivals:
+        if rival.spacing != best.spacing:
+            if not best.explained:
+                continue
+            reached = best.solution.evaluation
+            moved = on_grid(
+                experiment,
+                rival,
+                best.spacing,
+                report,
+                hopeless=(ALIKE * reached.chi_square / max(reached.data_rows, 1)) ** 0.5,
+                tangents=False,
+            )
+            if moved is None:
+                continue
+            rival = moved
+        alike.append(rival)
+    alike.sort(key=lambda step: excess(step.assessment))
+    if alike and not does_alike(best, alike[0]):
+        best, alike = alike[0], [best, *alike[1:]]
+    tied = [best, *(r for r in alike if does_alike(r, best))]
+    # Of models that do alike the one with fewest parameters comes first.
+    tied.sort(key=lambda step: (len(step.belief.free), excess(step.assessment)))
+    chosen = replace(tied[0], refits=tried, ties=tuple(r.added[0] for r in tied[1:]))
+    return complete(experiment, chosen)
