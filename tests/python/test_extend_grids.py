@@ -68,6 +68,19 @@ def test_the_default_grid_is_asked_where_the_misfit_may_be_the_grids_own(
     assert found == (default() if asked else None)
 
 
+def test_what_sets_in_is_judged_by_the_fitted_frames() -> None:
+    def seen_and_not(fit: float, predict: float) -> Step:
+        ratio = {"a": {"fit": fit, "predict": predict}}
+        return step_of(replace(assessment_of(1.0), ratio=ratio), spacing=1.7 * default())
+
+    first, last = seen_and_not(9.0, 6.0), seen_and_not(1.5, 5.5)
+    for effect, asked in (("contact", True), ("viscosity", False)):
+        found = grids.next_spacing(scene()[0], [first, replace(last, added=(effect,))])
+        assert found == (default() if asked else None)
+    far = replace(seen_and_not(4.0, 5.5), added=("contact",))
+    assert grids.next_spacing(scene()[0], [first, far]) is None
+
+
 def test_the_first_model_is_asked_again_as_well() -> None:
     only = step_of(assessment_of(2.0), spacing=1.7 * default())
     assert grids.next_spacing(scene()[0], [only]) == default()

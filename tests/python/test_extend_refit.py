@@ -52,6 +52,16 @@ def test_without_unseen_frames_the_drop_decides() -> None:
     assert refit_of(gain=None, drop=21.0).pays and not refit_of(gain=None, drop=20.0).pays
 
 
+def test_what_sets_in_and_explains_the_fitted_frames_may_pay() -> None:
+    worse = GainInterval(-1.0, -3.0, 9.0, 6)
+    for left, asked in ((0.05, True), (0.15, False)):
+        found = refit_of(gain=worse, chi_square=1000.0 * left, drop=1000.0 * (1.0 - left))
+        assert not found.pays and not found.may_pay  # viscosity does not set in
+        wall = replace(found, entry=replace(found.entry, kind="threshold"))
+        assert wall.may_pay is asked and not wall.pays
+    assert not replace(wall, actual_drop=-1.0).may_pay
+
+
 def test_a_drop_unlike_the_predicted_one_surprises() -> None:
     for drop, surprising in ((49.0, True), (51.0, False), (199.0, False), (201.0, True)):
         assert refit_of(gain=None, statistic=100.0, drop=drop).surprising is surprising

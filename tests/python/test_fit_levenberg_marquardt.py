@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from extend_example import plain_belief
 from mphygs.fit import levenberg_marquardt
-from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.fit.levenberg_marquardt import approached, minimise
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -96,3 +97,52 @@ def test_a_step_into_what_cannot_be_simulated_is_shortened() -> None:
     toy = Toy(limit=TRUTH[0] + 0.02)
     solution = minimise(toy, start().at(np.log([3e4, 1.3e3])), tolerance=1e-8, relative_tolerance=0.0)
     np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-4)
+
+
+# ---- Jacobians of another grid ----------------------------------------------------------------
+class Coarse(Toy):
+    """A swing that is a little slower, as on a coarser grid."""
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        return super().evaluate(belief.at(belief.coordinates - [0.05, 0.0]), jacobian=jacobian)
+
+
+def test_the_jacobians_of_a_coarser_grid_lead_near_the_minimum() -> None:
+    alone, fine, coarse = Toy(), Toy(), Coarse()
+    tight = {"tolerance": 1e-8, "relative_tolerance": 0.0}
+    minimise(alone, start(), **tight)
+    belief = approached(fine, coarse, start(), **tight)
+    assert fine.jacobians == 0 < coarse.jacobians and coarse.forwards == 0
+    np.testing.assert_allclose(belief.coordinates, TRUTH, atol=1e-3)
+    solution = minimise(fine, start(), lender=Coarse(), **tight)
+    np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-5)
+    assert 0 < fine.jacobians < alone.jacobians
+
+
+def test_a_lender_that_breaks_down_loses_nothing() -> None:
+    class Breaking(Toy):
+        good = 0
+
+        def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+            if self.jacobians == self.good:
+                raise SimulationError("too soft for this grid")
+            return super().evaluate(belief, jacobian=jacobian)
+
+    before = Toy().evaluate(start()).cost
+    for good, share in ((0, 1.0), (1, 0.5)):
+        lender = Breaking()
+        lender.good = good
+        found = approached(Toy(), lender, start())
+        assert Toy().evaluate(found).cost <= share * before
+    with pytest.raises(SimulationError):
+        approached(Toy(limit=-np.inf), Coarse(), start())
+
+
+def test_a_lender_of_other_frames_is_refused() -> None:
+    class Shorter(Toy):
+        def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+            whole = super().evaluate(belief, jacobian=jacobian)
+            return replace(whole, residual=whole.residual[:-3], jacobian=whole.jacobian[:-3])
+
+    with pytest.raises(ValueError, match="expected the same frames"):
+        approached(Toy(), Shorter(), start())

@@ -10,6 +10,10 @@
 #include <cstdint>
 #include <cstring>
 
+#ifdef __AVX512F__
+#include <immintrin.h>
+#endif
+
 namespace mphygs {
 
 inline constexpr int lane_count = 8;
@@ -30,6 +34,8 @@ struct PackOf<double> {
 };
 template <class T>
 using Pack = typename PackOf<T>::type;
+/// Sixteen lanes, one AVX-512 register: two packs side by side.
+using PackPair __attribute__((vector_size(64))) = float;
 template <class T>
 using PackMask = typename PackOf<T>::mask;
 template <class T>
@@ -47,6 +53,10 @@ template <>
 struct ScalarOf<Pack<double>> {
     using type = double;
 };
+template <>
+struct ScalarOf<PackPair> {
+    using type = float;
+};
 
 template <class T>
 inline Pack<T> load(const T* p) {
@@ -57,6 +67,30 @@ inline Pack<T> load(const T* p) {
 template <class T>
 inline void store(T* p, Pack<T> v) {
     std::memcpy(p, &v, sizeof v);
+}
+// g++ 12 goes through memory where a shuffle changes the number of lanes, and waits for the store.
+#ifdef __AVX512F__
+inline PackPair join(Pack<float> low, Pack<float> high) {
+    const __m512d whole = _mm512_castps_pd(_mm512_castps256_ps512(reinterpret_cast<__m256>(low)));
+    return reinterpret_cast<PackPair>(_mm512_maskz_insertf64x4(0xff, whole, reinterpret_cast<__m256d>(high), 1));
+}
+inline Pack<float> upper(PackPair x) {
+    return reinterpret_cast<Pack<float>>(_mm512_maskz_extractf64x4_pd(0xf, reinterpret_cast<__m512d>(x), 1));
+}
+inline Pack<float> lower(PackPair x) {
+    return reinterpret_cast<Pack<float>>(_mm512_castps512_ps256(reinterpret_cast<__m512>(x)));
+}
+#else
+inline PackPair join(Pack<float> low, Pack<float> high) {
+    return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+}
+inline Pack<float> upper(PackPair x) { return __builtin_shufflevector(x, x, 8, 9, 10, 11, 12, 13, 14, 15); }
+inline Pack<float> lower(PackPair x) { return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7); }
+#endif
+inline PackPair load_pair(const float* p) {
+    PackPair v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
 }
 template <class T>
 inline Pack<T> broadcast(T x) {

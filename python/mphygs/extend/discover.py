@@ -303,7 +303,7 @@ def discover(
                     f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, "
                     f"actual {r.actual_drop:.0f}"
                 )
-        refits = [r for r in finished if r.pays]
+        refits = [r for r in finished if r.pays] or [r for r in finished if r.may_pay]
         if not refits:
             break
         best, rivals = choose(refits)
@@ -311,7 +311,11 @@ def discover(
         others = [step_of(r, spacing, (), window[0]) for r in rivals]
         last = settled(experiment, steps, step, others, report, screening=screening)
         earlier = [name for before in steps for name in before.added]
-        steps.append(judged(pruned(experiment, last, earlier, report)))
+        step = judged(pruned(experiment, last, earlier, report))
+        if not best.pays and not step.explained:
+            say(f"{best.entry.effect}: does not pay on unseen frames")
+            break
+        steps.append(step)
         if on_step:
             on_step(steps[-1])
         without_bad_tracks()

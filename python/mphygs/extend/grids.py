@@ -11,8 +11,9 @@ from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.step import Step, excess
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import minimise
-from mphygs.fit.schedule import default_spacing, find_scale, simulable
+from mphygs.fit.levenberg_marquardt import approached, minimise
+from mphygs.fit.problem import Problem
+from mphygs.fit.schedule import default_spacing, find_scale, screening_spacing, simulable
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -24,6 +25,8 @@ GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
 SAME_MISFIT = 1.3
 # The frames before something sets in, over those in which it was first seen.
 BEFORE = 0.85
+# A grid so many times as coarse is many times as cheap.
+LENDS = 1.3
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
 # Share of the cost that the last step of what is concluded may promise.
@@ -36,8 +39,17 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     default = default_spacing(experiment.capture)
     if last.spacing < 1.1 * default:
         return None
-    small = last.added and excess(last.assessment) < EXPLAINED_ON_COARSE * excess(first.assessment)
+    # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
+    label = "fit" if sets_in(last) else None
+    small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
+        first.assessment, label
+    )
     return default if small or last.assessment.worst < GROSS else None
+
+
+def sets_in(step: Step) -> bool:
+    """Whether the last effect of a step is one that sets in at some moment: a wall, yielding."""
+    return any(effect(name).kind == "threshold" for name in step.added)
 
 
 def onward(share: float, kind: str) -> list[float]:
@@ -49,6 +61,17 @@ def onward(share: float, kind: str) -> list[float]:
         shares.append(1.0 if share > 0.8 else share)
         share = shares[-1]
     return shares
+
+
+def lender_of(experiment: Experiment, spacing: float, share: float = 1.0) -> Problem | None:
+    """The fit to the first share of the frames on the screening grid, to lend its Jacobians to that on a
+    finer one; None for a grid that is as coarse."""
+    coarse = screening_spacing(experiment.capture)
+    if spacing > coarse / LENDS:
+        return None
+    for name in experiment.fitted:
+        experiment.predictor(name, coarse)
+    return experiment.window(coarse, share)
 
 
 def on_grid(
@@ -78,10 +101,12 @@ def on_grid(
             rms = (evaluation.chi_square / max(evaluation.data_rows, 1)) ** 0.5
             say(f"{1e3 * spacing:.3g} mm: iteration {iteration}, {rms:.3f} sigma")
 
-        late = step.since < 1.0 and any(effect(name).kind == "threshold" for name in step.added)
-        if late:
+        if step.since < 1.0 and sets_in(step):
             belief = followed(experiment, belief, step.since, spacing, tell)
-        solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, report=tell)
+        lender = lender_of(experiment, spacing)
+        solution = minimise(
+            problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
+        )
         misfit = (solution.evaluation.chi_square / max(solution.evaluation.data_rows, 1)) ** 0.5
         if misfit > hopeless:
             say(f"{', '.join(step.added)}: given up, others leave less")
@@ -122,7 +147,9 @@ def followed(
     """
 
     def window(share: float, start: Belief, iterations: int) -> Belief:
-        problem = experiment.window(spacing, share)
+        problem, lender = experiment.window(spacing, share), lender_of(experiment, spacing, share)
+        if lender is not None:
+            return approached(problem, lender, start, iterations=iterations, report=tell)
         return minimise(problem, start, iterations=iterations, relative_tolerance=1e-3, report=tell).belief
 
     belief = hold_friction(belief)

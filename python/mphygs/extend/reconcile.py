@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
+from mphygs.extend.grids import lender_of
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -49,8 +50,9 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
         for name in whole.fitted:
             belief = experiment.with_release(belief, name, step.spacing)
             whole.predictor(name, step.spacing)
+        lender = lender_of(whole, step.spacing)
         solution = minimise(
-            whole.problem(step.spacing), belief, iterations=ITERATIONS, relative_tolerance=1e-3
+            whole.problem(step.spacing), belief, iterations=ITERATIONS, relative_tolerance=1e-3, lender=lender
         )
         compared = whole.compare(solution.belief, step.spacing, refine=True)
     except SimulationError:

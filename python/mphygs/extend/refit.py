@@ -22,6 +22,8 @@ from mphygs.simulate.scope import in_scope
 BLOCK_FRAMES = 8
 # Of chi^2 on the fitted frames that an effect leaves at most, to be kept without a clear gain on unseen ones.
 MOSTLY_EXPLAINED = 0.25
+# Of a wall or of yielding: so little left is asked further even where unseen frames do not gain.
+NEARLY_ALL = 0.1
 STRENGTHS = (0.5, 1.0, 2.0)
 # Of the substep without the effect: no refit starts with less.
 SHORTEST_SUBSTEP = 0.3
@@ -55,8 +57,19 @@ class Refit:
         """
         if self.gain is None:
             return self.actual_drop > 20.0
-        left = self.solution.evaluation.chi_square / (self.solution.evaluation.chi_square + self.actual_drop)
-        return self.gain.accepted or self.gain.gain > 0.0 and left < MOSTLY_EXPLAINED
+        return self.gain.accepted or self.gain.gain > 0.0 and self.left < MOSTLY_EXPLAINED
+
+    @property
+    def left(self) -> float:
+        """Share of chi^2 on the fitted frames that the effect leaves."""
+        after = self.solution.evaluation.chi_square
+        return after / (after + self.actual_drop)
+
+    @property
+    def may_pay(self) -> bool:
+        """Whether it is worth asking all frames: something sets in that explains the fitted ones, and what it
+        does later (a second touch) the fitted ones leave open. The step pays if all frames are explained."""
+        return self.entry.kind == "threshold" and self.actual_drop > 0.0 and self.left < NEARLY_ALL
 
     @property
     def surprising(self) -> bool:

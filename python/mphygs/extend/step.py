@@ -44,9 +44,10 @@ class Step:
         return self.assessment.adequate or near or self.reconciled
 
 
-def excess(assessment: Assessment) -> float:
-    """Mean square beyond noise of the whitened residual, averaged over ranges."""
-    values = [v for ranges in assessment.ratio.values() for v in ranges.values()]
+def excess(assessment: Assessment, label: str | None = None) -> float:
+    """Mean square beyond noise of the whitened residual, averaged over ranges, or over those of a label."""
+    items = [item for ranges in assessment.ratio.values() for item in ranges.items()]
+    values = [value for key, value in items if label in (None, key)]
     return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
 
 

@@ -8,7 +8,7 @@ two Jacobians after Broyden, "A class of methods for solving nonlinear simultane
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,10 @@ SHORTEST_SUBSTEP = 0.4
 # Steps between two Jacobians, each of which costs as much as nine motions or more; a step has to bring these
 # shares of what was promised: for another after it, and to be taken at all.
 SECANTS, TRUSTED, TAKEN = 3, 0.3, 0.05
+# Steps tried with a Jacobian of another grid, before one of its own is worth its price.
+BORROWED_TRIALS = 3
+# The share of the cost that such a step has to promise: the last digits are not in a coarser grid.
+LENT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +121,70 @@ def _follow_secants(
     return belief
 
 
+class _Borrowing:
+    """A problem whose Jacobians are those of another one: the same fit on a coarser grid.
+
+    lowest: cost and belief of the best that was evaluated.
+    """
+
+    def __init__(self, problem: Problem, lender: Problem) -> None:
+        self._problem, self._lender = problem, lender
+        self._known: list[tuple[Belief, Evaluation]] = []
+        self.lowest: tuple[float, Belief] | None = None
+
+    def stable_substep(self, belief: Belief) -> float:
+        return self._problem.stable_substep(belief)
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        # What was tried as a step is asked again for its Jacobian.
+        found = next((e for b, e in self._known if b is belief), None)
+        if found is None:
+            found = self._problem.evaluate(belief, jacobian=False)
+            self._known = [*self._known[-2:], (belief, found)]
+            if self.lowest is None or found.cost < self.lowest[0]:
+                self.lowest = found.cost, belief
+        if not jacobian:
+            return found
+        lent = self._lender.evaluate(belief).jacobian
+        if len(lent) != len(found.residual):
+            raise ValueError("the lender has other rows; expected the same frames and markers")
+        return replace(found, jacobian=lent)
+
+
+def approached(
+    problem: Problem,
+    lender: Problem,
+    belief: Belief,
+    *,
+    iterations: int = 8,
+    tolerance: float = 0.05,
+    relative_tolerance: float = 1e-3,
+    report: Callable[[int, Evaluation, Belief], None] | None = None,
+) -> Belief:
+    """The belief nearer to the minimum of a problem, by Jacobians of another one that are cheaper.
+
+    lender: the same fit on a coarser grid: how the motion answers to the materials is much the same there,
+    and what differs the secants put right. Ends where they no longer help; a minimum is not promised.
+    iterations: Jacobians of the lender. Raises SimulationError when the belief cannot be simulated.
+    """
+    borrowing = _Borrowing(problem, lender)
+    try:
+        minimise(
+            borrowing,
+            belief,
+            iterations=iterations,
+            tolerance=tolerance,
+            relative_tolerance=relative_tolerance,
+            trials=BORROWED_TRIALS,
+            report=report,
+        )
+    except SimulationError:
+        if borrowing.lowest is None:
+            raise
+        # The lender cannot carry what the problem can.
+    return borrowing.lowest[1]
+
+
 def minimise(
     problem: Problem,
     belief: Belief,
@@ -125,15 +193,22 @@ def minimise(
     tolerance: float = 0.05,
     relative_tolerance: float = 1e-4,
     longest_step: float = 1.5,
+    trials: int = 10,
+    lender: Problem | None = None,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
     """Minimise half the sum of squares of a problem over the free parameters of a belief.
 
     iterations: Jacobians, each used for a few steps; tolerance, relative_tolerance: stop when the next step
     promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
-    longest_step: of any logarithm in one step.
+    longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
+    lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`).
     Raises SimulationError when even the starting belief cannot be simulated.
     """
+    if lender is not None:
+        belief = approached(
+            problem, lender, belief, tolerance=tolerance, relative_tolerance=max(relative_tolerance, LENT)
+        )
     current = problem.evaluate(belief)
     history = [current.cost]
     damping, reason, converged = 1e-3, "iterations used up", False
@@ -149,7 +224,7 @@ def minimise(
         diagonal = np.maximum(np.diag(normal), 1e-12)
         accepted = False
         substep = problem.stable_substep(belief)
-        for _ in range(10):
+        for _ in range(trials):
             step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
             largest = np.abs(step).max(initial=0.0)
             logs = np.array([p.log for p in belief.free])

@@ -73,12 +73,14 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sta
     if warm:
         return (Stage("fine", spacing, 1.0, 12, 1e-4),)
     coarse = max(spacing, min(COARSE_FACTOR * spacing, coarsest))
-    return (
+    plan = (
         Stage("coarse, first quarter", coarse, 0.25, 6, 3e-3),
         Stage("coarse, first half", coarse, 0.5, 4, 3e-3),
         Stage("coarse", coarse, 1.0, 6, 1e-3),
         Stage("fine", spacing, 1.0, 8, 1e-4),
     )
+    # Where there is one grid only, its whole motion is fitted once.
+    return plan if coarse > spacing else (*plan[:2], plan[3])
 
 
 def plan_of(capture: Capture, spacing: float, *, warm: bool) -> tuple[Stage, ...]:

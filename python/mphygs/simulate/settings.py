@@ -21,7 +21,7 @@ class Settings:
     transfer: how particles and grid exchange momentum, "total-lagrangian" or "mls"."""
 
     spacing: float
-    safety: float = 0.7
+    safety: float = 0.85
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     dtype: str = "float32"
     memory_budget: int = 2 << 30

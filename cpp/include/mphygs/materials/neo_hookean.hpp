@@ -34,6 +34,7 @@ struct NeoHookean {
         Mat3<S> f, c;
         S mu, lambda, inverse_j, log_j, scale;
 
+        Linearised() = default;
         Linearised(const Mat3<S>& deformation, const S& mu_, const S& lambda_)
             : f(deformation), c(cofactor(deformation)), mu(mu_), lambda(lambda_) {
             const S j = determinant(f, c);

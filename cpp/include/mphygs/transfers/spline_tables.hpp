@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 
 #include "mphygs/kernel.hpp"
 #include "mphygs/small.hpp"
@@ -91,6 +92,35 @@ inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const R
     return {{{xx, xy, xz}, {yx, yy, yz}, {zx, zy, zz}}};
 }
 
+/// `gather_gradient` of two fields at once, the second one `second` numbers behind the first: their points
+/// in the lower and the upper eight lanes.
+inline Mat3<PackPair> gather_gradient_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
+                                       const GradientTable<float>& table) {
+    PackPair xx{}, xy{}, xz{}, yx{}, yy{}, yz{}, zx{}, zy{}, zz{};
+    const float* x = field;
+    const float* y = field + stride;
+    const float* z = field + 2 * stride;
+    const Pack<float>(*w)[3] = table.by_node;
+    const auto both = [second](const float* p) { return join(broadcast(p[0]), broadcast(p[second])); };
+    for (int r = 0; r < row_count_27; ++r) {
+        for (int k = 0; k < 3; ++k, ++w) {
+            const int n = rows[r] + k;
+            const PackPair wx = join((*w)[0], (*w)[0]), wy = join((*w)[1], (*w)[1]), wz = join((*w)[2], (*w)[2]);
+            const PackPair a = both(x + n), b = both(y + n), c = both(z + n);
+            xx += a * wx;
+            xy += a * wy;
+            xz += a * wz;
+            yx += b * wx;
+            yy += b * wy;
+            yz += b * wz;
+            zx += c * wx;
+            zy += c * wy;
+            zz += c * wz;
+        }
+    }
+    return {{{xx, xy, xz}, {yx, yy, yz}, {zx, zy, zz}}};
+}
+
 template <class T>
 inline Vec3<Pack<T>> gather_value(const T* field, std::size_t stride, const Rows& rows, const ValueTable<T>& table) {
     Vec3<Pack<T>> g;
@@ -120,12 +150,60 @@ inline void add_rows(const Pack<T> (&sums)[5], T* component, const Rows& rows) {
     }
 }
 
+/// Sums of nine rows: four in a register, four in the next, and the last one.
+struct RowSums {
+    PackPair first{}, second{};
+    RowOf<float>::type last{};
+    void add(float factor, const PackPair& w0, const PackPair& w1, const RowOf<float>::type& w2) {
+        first += factor * w0;
+        second += factor * w1;
+        last += factor * w2;
+    }
+    void to(float* component, const Rows& rows) const {
+        using Row = RowOf<float>::type;
+        alignas(64) float flat[36];
+        std::memcpy(flat, &first, sizeof first);
+        std::memcpy(flat + 16, &second, sizeof second);
+        std::memcpy(flat + 32, &last, sizeof last);
+        for (int r = 0; r < row_count_27; ++r) {
+            Row row, added;
+            std::memcpy(&row, component + rows[r], sizeof row);
+            std::memcpy(&added, flat + 4 * r, sizeof added);
+            row += added;
+            std::memcpy(component + rows[r], &row, sizeof row);
+        }
+    }
+};
+
+inline void scatter_gradient_rows(const float (&p)[3][3][8], float* field, std::size_t stride, const Rows& rows,
+                                  const GradientTable<float>& table) {
+    RowSums x, y, z;
+    for (int q = 0; q < 8; ++q) {
+        for (int j = 0; j < 3; ++j) {
+            const float* w = table.by_point[q][j];
+            const PackPair w0 = load_pair(w), w1 = load_pair(w + 16);
+            RowOf<float>::type w2;
+            std::memcpy(&w2, w + 32, sizeof w2);
+            x.add(p[0][j][q], w0, w1, w2);
+            y.add(p[1][j][q], w0, w1, w2);
+            z.add(p[2][j][q], w0, w1, w2);
+        }
+    }
+    x.to(field, rows);
+    y.to(field + stride, rows);
+    z.to(field + 2 * stride, rows);
+}
+
 /// f_a += sum over the points of stress (dN_a/dx).
 template <class T>
 inline void scatter_gradient(const Mat3<Pack<T>>& stress, T* field, std::size_t stride, const Rows& rows,
                              const GradientTable<T>& table) {
     alignas(64) T p[3][3][8];
     std::memcpy(p, stress.e, sizeof p);
+    if constexpr (std::is_same_v<T, float>) {
+        scatter_gradient_rows(p, field, stride, rows, table);
+        return;
+    }
     // Fifteen sums at once hide the latency of the multiply-add.
     Pack<T> x0{}, x1{}, x2{}, x3{}, x4{}, y0{}, y1{}, y2{}, y3{}, y4{}, z0{}, z1{}, z2{}, z3{}, z4{};
     for (int q = 0; q < 8; ++q) {
