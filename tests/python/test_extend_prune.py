@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from functools import cache
 
+import pytest
+
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, recorded
 from mphygs.extend.discover import _conclude
-from mphygs.extend.prune import pruned
+from mphygs.extend.prune import anew, pruned
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at, step_document
 from mphygs.fit.experiment import Experiment
@@ -56,3 +58,19 @@ def test_what_is_superfluous_goes() -> None:
 def test_what_is_needed_stays() -> None:
     experiment, _, last = both(TILT)
     assert pruned(experiment, last, ["gravity"]) is last
+
+
+def test_materials_begin_anew_where_that_is_better() -> None:
+    experiment, elastic = scene(0.0)
+    truth = elastic.with_effect("viscosity", {"eta": ETA})
+    stuck = truth.with_parameter("part0.youngs_modulus", value=6e5)
+    said: list[str] = []
+    before = step_at(experiment, stuck, SPACING, added=("viscosity",))
+    found = anew(experiment, before, said.append)
+    assert found.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.01)
+    assert found.assessment.worst < 1.2 < before.assessment.worst and found.added == before.added
+    assert said[-1].startswith("materials anew: cost ")
+    # At the minimum nothing is gained.
+    best = anew(experiment, found)
+    assert best.solution.evaluation.cost <= found.solution.evaluation.cost
+    assert best.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.01)

@@ -11,7 +11,7 @@ from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.step import Step, excess
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached, minimise
+from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import default_spacing, find_scale, screening_spacing, simulable
 from mphygs.model.belief import Belief
@@ -146,18 +146,20 @@ def followed(
     motion most, and what an impact sets swinging, seen thirty times a second, has many such minima.
     """
 
-    def window(share: float, start: Belief, iterations: int) -> Belief:
-        problem, lender = experiment.window(spacing, share), lender_of(experiment, spacing, share)
-        if lender is not None:
-            return approached(problem, lender, start, iterations=iterations, report=tell)
-        return minimise(problem, start, iterations=iterations, relative_tolerance=1e-3, report=tell).belief
+    def window(share: float, start: Belief, iterations: int, *, far: bool = False) -> Belief:
+        problem = experiment.window(spacing, share)
+        # Far from the minimum a step of the coarse grid may lead to where that grid carries nothing.
+        lender = None if far else lender_of(experiment, spacing, share)
+        return minimise(
+            problem, start, iterations=iterations, relative_tolerance=1e-3, lender=lender, report=tell
+        ).belief
 
     belief = hold_friction(belief)
     before = [BEFORE * share * since for share in (0.5, 1.0)]
     try:
         anew = find_scale(experiment.window(spacing, before[0]), forget(belief))
         for share in before:
-            anew = window(share, anew, ITERATIONS)
+            anew = window(share, anew, ITERATIONS, far=True)
         belief = anew
     except SimulationError:
         pass  # from what the coarser grid had
