@@ -157,10 +157,16 @@ def followed(
     belief = hold_friction(belief)
     before = [BEFORE * share * since for share in (0.5, 1.0)]
     try:
-        anew = find_scale(experiment.window(spacing, before[0]), forget(belief))
+        # There nothing has set in, and what will is left out: it could only be in the way.
+        anew = forget(belief)
+        for name in belief.effects:
+            if effect(name).kind == "threshold":
+                anew = anew.without_effect(name)
+        anew = find_scale(experiment.window(spacing, before[0]), anew)
         for share in before:
             anew = window(share, anew, ITERATIONS, far=True)
-        belief = anew
+        for p in anew.parameters:
+            belief = belief.with_parameter(p.key, value=p.value, lower=p.lower, upper=p.upper)
     except SimulationError:
         pass  # from what the coarser grid had
     belief = release_friction(window(since, belief, ITERATIONS // 2))
