@@ -335,6 +335,22 @@ def test_every_parameter_more_has_to_pay(more: int, monkeypatch: pytest.MonkeyPa
     assert (found.added, found.ties) == (("fibre",), ())
 
 
+def test_what_the_grid_excuses_is_not_beaten_by_what_fits_its_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Explained, for the grid has its share of what is left; the rival has more to bend and is not explained.
+    excused = step_of(assessment_of(3.4, adequate=True), added=("air_drag",), free=2)
+    bent = step_of(assessment_of(2.0), added=("wind",), free=5)
+    found = kept(monkeypatch, excused, bent)
+    assert (found.added, found.ties) == (("air_drag",), ("wind",))
+    # A rival at the floor is another matter.
+    found = kept(monkeypatch, excused, step_of(assessment_of(1.05), added=("wind",), free=5))
+    assert found.added == ("wind",)
+    # Nor is one protected that is not explained.
+    found = kept(monkeypatch, replace(excused, assessment=assessment_of(3.4)), bent)
+    assert (found.added, found.ties) == (("wind",), ())
+
+
 def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
     # 0.8 x 0.5 - 0.02 = 0.38
     best, clearly = model("fibre", 0.50, 2), model("viscosity", 0.37, 2)

@@ -84,7 +84,9 @@ def settled(
             rival = moved
         alike.append(rival)
     alike.sort(key=lambda step: excess(step.assessment))
-    if alike and not does_alike(best, alike[0]):
+    # What is left of an explained model is the grid's: more parameters that take some of that are no gain.
+    beaten = alike and not does_alike(best, alike[0])
+    if beaten and (alike[0].explained or not best.explained):
         best, alike = alike[0], [best, *alike[1:]]
     tied = [best, *(r for r in alike if does_alike(r, best))]
     # Of models that do alike the one with fewest parameters comes first.
