@@ -13,6 +13,7 @@ from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.grids import known_budget, onward, polished, probed, refined, with_budget
 from mphygs.extend.prune import pruned
+from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.settle import ALIKE, choose, settled, step_of
@@ -320,6 +321,8 @@ def discover(
             on_step(steps[-1])
         without_bad_tracks()
     experiment.whole = ()
+    if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
+        steps[-1] = readmitted(experiment, steps[-1], report)
     if steps[-1].explained:
         # What is concluded is told to its last digits, what was found with the grid's share of its errors.
         steps[-1] = polished(experiment, steps[-1], report)

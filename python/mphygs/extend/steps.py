@@ -49,7 +49,7 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
     information = information_of(evaluation, len(belief.free))
     # Corrections for faults that are not terms of the model are effects of the step all the same.
     kept = [name for name in before if name in belief.effects or name == "marker_outliers"]
-    inside = tuple(dict.fromkeys((*kept, *belief.effects, *step.added)))
+    inside = dict.fromkeys(name for name in (*kept, *belief.effects, *step.added) if name not in step.dropped)
     return {
         "effects": list(inside),
         "added": list(step.added),

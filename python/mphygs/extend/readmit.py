@@ -1,0 +1,75 @@
+"""Bad tracks are judged once more by the model that explains the rest: what it predicts was never bad.
+
+The first model may be so far off that a single marker at a tip moves like no other; a track that is lost
+stays off whatever the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mphygs.compare.noise import observe
+from mphygs.diagnose.outliers import bad_observations
+from mphygs.extend.grids import known_budget
+from mphygs.extend.step import Step
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.simulate.errors import SimulationError
+
+FAULT = "marker_outliers"
+ITERATIONS = 4
+
+
+def readmitted(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
+    """The step fitted to all measurements, where none of those that were left out is bad beside its model.
+
+    The experiment's observations become the whole ones then; else nothing changes.
+    """
+    say = report or (lambda _text: None)
+    whole = {
+        name: observe(
+            experiment.capture.sequence(name), experiment.predictor(name, step.spacing).attachment
+        )
+        for name in experiment.observations
+    }
+    left_out = 0
+    for name, item in step.compared.items():
+        known = experiment.observations[name].observed
+        first, last = item.frames
+        residual = np.full_like(whole[name].position, np.nan)
+        residual[first:last] = whole[name].position[first:last] - item.predicted[first:last]
+        markers = experiment.capture.sequence(name).markers
+        out = whole[name].observed & ~known
+        left_out += int(out.sum())
+        if (bad_observations(residual, markers.at, whole[name].sigma) & out).any():
+            return step
+    if not left_out:
+        return step
+    masked = dict(experiment.observations)
+    experiment.observations.update(whole)
+    experiment.problems.clear()
+    try:
+        problem = experiment.problem(step.spacing)
+        solution = minimise(problem, step.belief, iterations=ITERATIONS, relative_tolerance=1e-3)
+        compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
+    except SimulationError:
+        compared = None
+    after = None
+    if compared is not None:
+        after = replace(
+            step,
+            belief=solution.belief,
+            solution=solution,
+            compared=compared,
+            assessment=experiment.assess(compared),
+            dropped=(*step.dropped, FAULT),
+        )
+    if after is None or not after.explained:
+        experiment.observations.update(masked)
+        experiment.problems.clear()
+        return step
+    say(f"{left_out} measurements that were left out are as predicted: used again")
+    return after
