@@ -30,7 +30,7 @@ from mphygs.simulate.errors import SimulationError
 LARGEST_MODEL = 3
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
-BEGUN, FINISHED, NEARLY = 8, 3, 1.1
+BEGUN, FINISHED, NEARLY = 8, 3, 1.25
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
