@@ -12,13 +12,13 @@ from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
 from mphygs.extend.grids import known_budget, onward, polished, probed, refined, with_budget
-from mphygs.extend.prune import pruned
+from mphygs.extend.prune import anew, pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.settle import ALIKE, choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
-from mphygs.extend.step import Step
+from mphygs.extend.step import EXPLAINED, Step
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -28,6 +28,8 @@ from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
 LARGEST_MODEL = 3
+# A misfit up to here [sigma] is the noise's and leaves nothing to gain.
+NOISE = 1.03
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
 BEGUN, FINISHED, NEARLY = 8, 3, 1.25
@@ -323,6 +325,9 @@ def discover(
     experiment.whole = ()
     if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
         steps[-1] = readmitted(experiment, steps[-1], report)
+    if steps[-1].added and NOISE < steps[-1].assessment.worst <= EXPLAINED:
+        # Near the floor, not at it: the materials may be where a model without the effect had drawn them.
+        steps[-1] = anew(experiment, steps[-1], report)
     if steps[-1].explained:
         # What is concluded is told to its last digits, what was found with the grid's share of its errors.
         steps[-1] = polished(experiment, steps[-1], report)
