@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, recorded
+from extend_example import SPACING, assessment_of, recorded
 from mphygs.extend.discover import _conclude
 from mphygs.extend.prune import anew, pruned
 from mphygs.extend.step import Step
@@ -74,3 +74,13 @@ def test_materials_begin_anew_where_that_is_better() -> None:
     best = anew(experiment, found)
     assert best.solution.evaluation.cost <= found.solution.evaluation.cost
     assert best.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.01)
+
+
+def test_a_closer_fit_that_predicts_worse_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, elastic = scene(0.0)
+    truth = elastic.with_effect("viscosity", {"eta": ETA})
+    near = truth.with_parameter("part0.youngs_modulus", value=6.03e4)
+    before = step_at(experiment, near, SPACING, added=("viscosity",))
+    assert before.explained and anew(experiment, before) is not before
+    monkeypatch.setattr(experiment, "assess", lambda _compared: assessment_of(5.0))
+    assert anew(experiment, before) is before

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from mphygs.extend.grids import known_budget
 from mphygs.extend.step import Step, does_alike
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
@@ -70,8 +71,10 @@ def anew(experiment: Experiment, step: Step, report: Callable[[str], None] | Non
         say(f"materials anew: cost {step.solution.evaluation.cost:.6g} -> {solution.evaluation.cost:.6g}")
         if gain <= 0.0:
             return step
-        compared = experiment.compare(belief, step.spacing)
+        compared = experiment.compare(belief, step.spacing, refine=known_budget(step))
     except SimulationError:
         return step
     assessment = experiment.assess(compared)
-    return replace(step, belief=belief, solution=solution, compared=compared, assessment=assessment)
+    after = replace(step, belief=belief, solution=solution, compared=compared, assessment=assessment)
+    # A closer fit that predicts worse is none.
+    return after if after.explained >= step.explained else step
