@@ -33,6 +33,8 @@ void bind(py::module_& m, const char* name) {
                  return py::make_tuple(to_array(std::move(w.node), {n, 27}), to_array(std::move(w.value), {n, 27}),
                                        to_array(std::move(w.gradient), {n, 27, 3}));
              })
+        .def_property(
+            "threads", [](const Model& self) { return self.settings().threads; }, &Model::set_threads)
         .def("largest_rates",
              [](const Model& self, const py::dict& fields, int iterations, const py::object& hook) {
                  const Fields<T> f = to_fields<T>(fields);

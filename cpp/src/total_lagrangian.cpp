@@ -12,7 +12,6 @@ template <class T, int K>
 std::vector<Trajectory<T>> roll(const TotalLagrangian<T>& model, const Inputs<T, K>& inputs, int wanted,
                                 const Schedule& schedule, const Progress& progress,
                                 const std::function<std::string(const std::vector<T>&, int, double, int*)>& describe) {
-    TotalLagrangianRun<T, K> run(model, inputs, schedule);
     const std::size_t size = 3 * model.node_count();
     const std::size_t frames = schedule.steps.size() + 1;
     std::vector<Trajectory<T>> result(static_cast<std::size_t>(wanted) + 1);
@@ -20,31 +19,34 @@ std::vector<Trajectory<T>> roll(const TotalLagrangian<T>& model, const Inputs<T,
         r.displacement.resize(frames * size);
         r.velocity.resize(frames * size);
     }
-    const auto keep = [&](std::size_t frame) {
-        for (std::size_t l = 0; l < result.size(); ++l) {
-            run.output(static_cast<int>(l), &result[l].displacement[frame * size], &result[l].velocity[frame * size]);
+    Team::run(model.settings().threads, [&](Team& team) {
+        TotalLagrangianRun<T, K> run(model, inputs, schedule, team);
+        const auto keep = [&](std::size_t frame) {
+            for (std::size_t l = 0; l < result.size(); ++l) {
+                run.output(static_cast<int>(l), &result[l].displacement[frame * size], &result[l].velocity[frame * size]);
+            }
+        };
+        keep(0);
+        int n = 0;
+        double time = schedule.start;
+        for (std::size_t f = 0; f + 1 < frames; ++f) {
+            for (int s = 0; s < schedule.steps[f]; ++s) {
+                run.step(n++, static_cast<int>(f), time + s * schedule.dt[f], schedule.dt[f]);
+            }
+            time += schedule.steps[f] * schedule.dt[f];
+            if (!run.finite()) {
+                int part = -1;
+                SimulationError error(describe(run.displacement(), static_cast<int>(f) + 1, time, &part));
+                error.frame = static_cast<int>(f) + 1;
+                error.part = part;
+                throw error;
+            }
+            keep(f + 1);
+            if (progress && !progress(static_cast<int>(f) + 1)) {
+                throw SimulationError("interrupted");
+            }
         }
-    };
-    keep(0);
-    int n = 0;
-    double time = schedule.start;
-    for (std::size_t f = 0; f + 1 < frames; ++f) {
-        for (int s = 0; s < schedule.steps[f]; ++s) {
-            run.step(n++, static_cast<int>(f), time + s * schedule.dt[f], schedule.dt[f]);
-        }
-        time += schedule.steps[f] * schedule.dt[f];
-        if (!run.finite()) {
-            int part = -1;
-            SimulationError error(describe(run.displacement(), static_cast<int>(f) + 1, time, &part));
-            error.frame = static_cast<int>(f) + 1;
-            error.part = part;
-            throw error;
-        }
-        keep(f + 1);
-        if (progress && !progress(static_cast<int>(f) + 1)) {
-            throw SimulationError("interrupted");
-        }
-    }
+    });
     return result;
 }
 
@@ -56,7 +58,8 @@ std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>& fields) const {
     Inputs<T, 0> inputs;
     inputs.primal = &fields;
     const Schedule none;
-    const TotalLagrangianRun<T, 0> run(*this, inputs, none);
+    Team alone;
+    const TotalLagrangianRun<T, 0> run(*this, inputs, none, alone);
     return {run.mass().begin(), run.mass().begin() + static_cast<std::ptrdiff_t>(node_count())};
 }
 
@@ -125,8 +128,12 @@ Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>& fields, const Schedule& s
     if ((!bar.displacement.empty() && bar.displacement.size() != wanted) || (!bar.velocity.empty() && bar.velocity.size() != wanted)) {
         throw std::invalid_argument("the bar of the trajectory must be (frames + 1, nodes, 3)");
     }
-    TotalLagrangianReverse<T> reverse(*this, fields, schedule, bar, hook);
-    return reverse.gradient(progress, recomputed);
+    Fields<T> result;
+    Team::run(settings_.threads, [&](Team& team) {
+        TotalLagrangianReverse<T> reverse(*this, fields, schedule, bar, hook, team);
+        result = reverse.gradient(progress, recomputed);
+    });
+    return result;
 }
 
 template <class T>
@@ -141,7 +148,8 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
     Inputs<T, 0> inputs;
     inputs.primal = &value;
     const Schedule none;
-    TotalLagrangianRun<T, 0> run(*this, inputs, none);
+    Team alone;
+    TotalLagrangianRun<T, 0> run(*this, inputs, none, alone);
     run.accelerations(1.0);
     std::vector<T> force(3 * node_count());
     for (std::size_t n = 0; n < node_count(); ++n) {
@@ -169,7 +177,8 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
     inputs.direction[0] = &direction;
     inputs.hook = hook;
     const Schedule none;
-    TotalLagrangianRun<T, 1> run(*this, inputs, none);
+    Team alone;
+    TotalLagrangianRun<T, 1> run(*this, inputs, none, alone);
     const std::vector<T> u = run.displacement();
     const std::vector<T> v(u.size(), T{});
     run.accelerations(1e-4);  // what the effects remember at rest

@@ -181,7 +181,7 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
     }
 
     // Fixed chunks of blocks, each with the range of nodes that it touches.
-    const int parts = static_cast<int>(std::clamp<std::size_t>(blocks / 64, 1, 16));
+    const int parts = static_cast<int>(std::clamp<std::size_t>(blocks / 32, 1, 16));
     for (int c = 0; c < parts; ++c) {
         Chunk chunk{part_begin(blocks, parts, c), part_begin(blocks, parts, c + 1),
                     part_begin(surface_rows_.size(), parts, c), part_begin(surface_rows_.size(), parts, c + 1),

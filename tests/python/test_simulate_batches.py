@@ -53,3 +53,68 @@ def test_directions_that_share_a_register_are_those_told_alone(rest: str, count:
         assert together[..., k] == pytest.approx(alone, rel=1e-4, abs=1e-5 * np.abs(alone).max())
         true = precise.predict(belief, candidates=[column]).jacobian[..., 0]
         assert together[..., k] == pytest.approx(true, rel=1e-2, abs=1e-3 * np.abs(true).max())
+
+
+# Beside the materials each has a strength of its own; strong enough to act in a tenth of a second.
+ACTING: dict[str, dict[str, float]] = {
+    "viscosity": {"eta": 20.0},
+    "relaxation": {"ratio": 0.5, "tau": 0.05},
+    "stiffening": {"c_2": 2e4},
+    "fibre": {"k_f": 2e4},
+    "eigenstrain": {"rate": 0.3},
+    "plasticity": {"yield_stress": 300.0},
+    "air_drag": {"c_d": 3.0},
+    "wind": {"w_x": 2.0, "w_y": -3.0, "c_d": 2.0},
+    "contact": {"d": -1e-3, "n_x": 0.1, "n_y": 0.0, "n_z": 1.0, "mu": 0.3, "stiffness": 1e6},
+}
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 7])
+@pytest.mark.parametrize("names", [[name] for name in ACTING] + [["viscosity", "relaxation", "wind"]])
+def test_effects_share_a_register_as_the_law_does(names: list[str], count: int) -> None:
+    shake = 0.02 * np.sin(np.linspace(0.0, 6.0, 12))[:, None] * [0.3, 1.0, 0.4]
+    capture = bar_capture(frames=12, fps=100.0, fit=(0, 12), motion=shake)
+    keys = ("part0.youngs_modulus", "part0.density")
+    without = belief = bar_belief(capture, youngs_modulus=6e4, free=keys)
+    for name in names:
+        belief = belief.with_effect(name, ACTING[name])
+    predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float32"))
+    precise = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float64"))
+    columns = [(belief, belief[f"{name}.{next(iter(ACTING[name]))}"]) for name in names]
+    columns += [(belief, belief[key]) for key in keys]
+    columns += smooth_ways(belief, predictor.body, names=["gravity"])[0].columns
+    chosen = columns[:count]
+    together = predictor.predict(belief, candidates=chosen)
+    for k, column in enumerate(chosen):
+        true = precise.predict(belief, candidates=[column])
+        assert together.position == pytest.approx(true.position, abs=2e-6)
+        truth = true.jacobian[..., 0]
+        assert np.abs(truth).max() > 0.0, column[1].key
+        error = np.abs(together.jacobian[..., k] - truth).max()
+        assert error < 5e-3 * np.abs(truth).max(), column[1].key
+    still = predictor.predict(without)
+    assert np.abs(still.position - together.position).max() > 1e-5  # the effect acts
+
+
+@pytest.mark.parametrize("rest", ["stress-free", "equilibrium"])
+def test_threads_in_a_run_leave_no_trace(rest: str) -> None:
+    shake = 0.01 * np.sin(np.linspace(0.0, 6.0, 10))[:, None] * [0.3, 1.0, 0.4]
+    capture = bar_capture(frames=10, fps=100.0, fit=(0, 10), rest=rest, motion=shake, lengths=(0.05, 0.05))
+    mode = "equilibrium" if rest == "equilibrium" else "off"
+    keys = ("part0.youngs_modulus", "part1.youngs_modulus", "part1.density")
+    belief = bar_belief(capture, youngs_modulus=6e4, free=keys, prestress=mode)
+    belief = belief.with_effect("viscosity", {"eta": 5.0}).with_effect("air_drag", {"c_d": 2.0})
+    seen = []
+    for workers in (1, 2, 3):
+        settings = Settings(0.005, workers=workers, dtype="float32")
+        predictor = Predictor(capture, capture.sequences[0], settings)
+        seen.append(predictor.predict(belief, keys=[p.key for p in belief.free]))
+        alone = predictor.predict(belief)
+        assert np.array_equal(alone.position, predictor.predict(belief).position)
+        seen.append(alone)
+    assert np.abs(seen[0].jacobian).max() > 0.0
+    for one in seen[2::2]:
+        assert np.array_equal(one.position, seen[0].position)
+        assert np.array_equal(one.jacobian, seen[0].jacobian)
+    for one in seen[3::2]:
+        assert np.array_equal(one.position, seen[1].position)

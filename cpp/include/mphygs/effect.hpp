@@ -10,6 +10,8 @@
 //            static void body(VolumePoint<S>&, const S* q)      adds acceleration of the particle
 //   body     static Vec3<S> acceleration(const BodyPoint<S>&, const S* q)        [m/s^2]
 //   surface  static Vec3<S> force(const SurfacePoint<S>&, const S* q)            [N]
+//            and, where it acts on little of the surface, so that the rest is passed over,
+//            static bool out_of_reach(const Vec3<P>& position, const P* q)   it is zero at all eight points
 //   point    static Vec3<S> force(const MaterialPoint<S>&, const S* q)           [N]
 //   mass     no function: adds a mass at a material point (parameter 0) [kg]
 //   hold     no function: acts on the holds, inside the integrator
@@ -124,6 +126,9 @@ template <class E, class S>
 concept HasStress = requires(VolumePoint<S>& p, const S* q) { E::stress(p, q); };
 template <class E, class S>
 concept HasBody = requires(VolumePoint<S>& p, const S* q) { E::body(p, q); };
+
+template <class E, class P>
+concept HasReach = requires(const Vec3<P>& x, const P* q) { E::out_of_reach(x, q); };
 
 /// Where the effects of a list find their numbers in the flat arrays.
 struct EffectSlot {

@@ -78,7 +78,7 @@ inline Pack<float> upper(PackPair x) {
     return reinterpret_cast<Pack<float>>(_mm512_maskz_extractf64x4_pd(0xf, reinterpret_cast<__m512d>(x), 1));
 }
 inline Pack<float> lower(PackPair x) {
-    return reinterpret_cast<Pack<float>>(_mm512_castps512_ps256(reinterpret_cast<__m512>(x)));
+    return reinterpret_cast<Pack<float>>(_mm512_maskz_extractf64x4_pd(0xf, reinterpret_cast<__m512d>(x), 0));
 }
 #else
 inline PackPair join(Pack<float> low, Pack<float> high) {
@@ -96,6 +96,7 @@ template <class T>
 inline Pack<T> broadcast(T x) {
     return Pack<T>{} + x;
 }
+using PackPairMask __attribute__((vector_size(64))) = std::int32_t;
 template <class T>
 inline T sum_lanes(Pack<T> v) {
     // Fixed tree, so that the order of summation never depends on the target.
@@ -199,5 +200,16 @@ inline Pack<double> exponential(Pack<double> x) {
     std::memcpy(&scale, &bits, sizeof scale);
     return exponential_series<double>(r, 14) * scale;
 }
+
+// ---- and on two packs side by side: the same bits as one after the other ------------------------
+#define MPHYGS_HALVES(name) \
+    inline PackPair name(PackPair x) { return join(name(lower(x)), name(upper(x))); }
+MPHYGS_HALVES(square_root)
+MPHYGS_HALVES(logarithm)
+MPHYGS_HALVES(exponential)
+MPHYGS_HALVES(sine)
+MPHYGS_HALVES(cosine)
+#undef MPHYGS_HALVES
+inline PackPair select(PackPairMask m, PackPair a, PackPair b) { return m ? a : b; }
 
 }  // namespace mphygs

@@ -32,12 +32,14 @@ inline Slots make_slots(const std::vector<bool>& active) {
 
 struct ActiveSites {
     bool volume = false, rate = false, body_volume = false, body = false, surface = false, point = false, mass = false;
+    bool out_of_reach = false;  // every active surface effect can say where it does nothing
     int history = 0;
     int point_parameters = 0;  // of all point effects, per place
 };
 
 inline ActiveSites active_sites(const Slots& slots) {
     ActiveSites a;
+    a.out_of_reach = true;
     Registry::each([&](auto tag, int i) {
         using E = typename decltype(tag)::type;
         if constexpr (E::info.site == Site::point) {
@@ -51,6 +53,7 @@ inline ActiveSites active_sites(const Slots& slots) {
         a.body_volume |= HasBody<E, float>;
         a.body |= E::info.site == Site::body;
         a.surface |= E::info.site == Site::surface;
+        a.out_of_reach &= E::info.site != Site::surface || HasReach<E, Pack<float>>;
         a.point |= E::info.site == Site::point;
         a.mass |= E::info.site == Site::mass;
         a.history += E::info.history_count;
@@ -142,6 +145,20 @@ inline Vec3<S> evaluate_surface(const Slots& slots, const S* uniforms, const Sur
         }
     });
     return f;
+}
+
+/// Whether no active surface effect acts on any of eight points. uniforms: values only.
+template <class P>
+inline bool surface_out_of_reach(const Slots& slots, const P* uniforms, const Vec3<P>& position) {
+    bool none = true;
+    Registry::each([&](auto tag, int i) {
+        using E = typename decltype(tag)::type;
+        if constexpr (HasReach<E, P>) {
+            const EffectSlot& s = slots[static_cast<std::size_t>(i)];
+            none = none && (!s.active || E::out_of_reach(position, uniforms + s.uniform));
+        }
+    });
+    return none;
 }
 
 /// parameters: this place's numbers, all point effects one after the other.

@@ -65,7 +65,7 @@ inline Mat3<S> operator*(const S& s, const Mat3<S>& a) {
     return r;
 }
 template <class S>
-inline Mat3<S> operator*(const Mat3<S>& a, const Mat3<S>& b) {
+[[gnu::always_inline]] inline Mat3<S> operator*(const Mat3<S>& a, const Mat3<S>& b) {
     Mat3<S> r;
     MPHYGS_IJ r[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j];
     return r;
@@ -79,7 +79,7 @@ inline Vec3<S> operator*(const Mat3<S>& a, const Vec3<S>& b) {
     return r;
 }
 template <class S>
-inline Mat3<S> transpose(const Mat3<S>& a) {
+[[gnu::always_inline]] inline Mat3<S> transpose(const Mat3<S>& a) {
     Mat3<S> r;
     MPHYGS_IJ r[i][j] = a[j][i];
     return r;
@@ -97,7 +97,7 @@ inline S inner(const Mat3<S>& a, const Mat3<S>& b) {
 }
 /// Cofactor matrix, cof(A) = det(A) A^-T.
 template <class S>
-inline Mat3<S> cofactor(const Mat3<S>& a) {
+[[gnu::always_inline]] inline Mat3<S> cofactor(const Mat3<S>& a) {
     Mat3<S> c;
     c[0][0] = a[1][1] * a[2][2] - a[1][2] * a[2][1];
     c[0][1] = a[1][2] * a[2][0] - a[1][0] * a[2][2];

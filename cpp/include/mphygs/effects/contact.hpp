@@ -18,12 +18,29 @@ struct Contact {
                                       {"mu", "-", 0, 0, 10, 0.3, true},
                                       {"stiffness", "Pa/m", 0, 0, 1e12, 1e6, false}}};
     template <class S>
+    static S depth(const Vec3<S>& n, const Vec3<S>& position, const S& d) {
+        return d - dot(n, position);
+    }
+    template <class S>
+    static Vec3<S> normal(const S* q) {
+        const Vec3<S> given{{q[1], q[2], q[3]}};
+        return (typename ScalarOf<S>::type(1) / square_root(dot(given, given))) * given;
+    }
+    template <class P>
+    static bool out_of_reach(const Vec3<P>& position, const P* q) {
+        const P below = depth(normal(q), position, q[0]);
+        bool none = true;
+        for (int i = 0; i < lane_count; ++i) {
+            none = none && !(below[i] > 0);
+        }
+        return none;
+    }
+    template <class S>
     static Vec3<S> force(const SurfacePoint<S>& p, const S* q) {
         using R = typename ScalarOf<S>::type;
-        const Vec3<S> given{{q[1], q[2], q[3]}};
-        const Vec3<S> n = (R(1) / square_root(dot(given, given))) * given;
-        const S depth = q[0] - dot(n, p.position);
-        const S pressing = select(value_of(depth) > decltype(value_of(depth)){}, depth, S{});
+        const Vec3<S> n = normal(q);
+        const S below = depth(n, p.position, q[0]);
+        const S pressing = select(value_of(below) > decltype(value_of(below)){}, below, S{});
         const S normal_force = q[5] * p.area * pressing;
         const S normal_speed = dot(n, p.velocity);
         const Vec3<S> slip = p.velocity - normal_speed * n;

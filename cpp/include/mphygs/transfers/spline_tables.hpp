@@ -136,6 +136,23 @@ inline Vec3<Pack<T>> gather_value(const T* field, std::size_t stride, const Rows
     return g;
 }
 
+/// `gather_value` of two fields, as `gather_gradient_pair`.
+inline Vec3<PackPair> gather_value_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
+                                        const ValueTable<float>& table) {
+    PackPair x{}, y{}, z{};
+    const auto both = [second](const float* p) { return join(broadcast(p[0]), broadcast(p[second])); };
+    for (int r = 0; r < row_count_27; ++r) {
+        for (int k = 0; k < 3; ++k) {
+            const float* node = field + rows[r] + k;
+            const PackPair w = join(table.by_node[r * 3 + k], table.by_node[r * 3 + k]);
+            x += both(node) * w;
+            y += both(node + stride) * w;
+            z += both(node + 2 * stride) * w;
+        }
+    }
+    return {{x, y, z}};
+}
+
 template <class T>
 inline void add_rows(const Pack<T> (&sums)[5], T* component, const Rows& rows) {
     using Row = typename RowOf<T>::type;

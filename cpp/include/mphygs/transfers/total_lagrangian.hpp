@@ -41,6 +41,8 @@ class TotalLagrangian {
     const std::vector<double>& node_positions() const { return node_positions_; }  // (N, 3) [m]
     const Geometry& geometry() const { return geometry_; }
     const Settings& settings() const { return settings_; }
+    /// Threads of the next runs; the results do not depend on it. Not while one is under way.
+    void set_threads(int threads) { settings_.threads = threads; }
     /// Lumped node mass of given inputs, (N,) [kg].
     std::vector<T> node_mass(const Fields<T>& fields) const;
     /// cell: (M, 3) knot span of each point; it must be one of the object's.

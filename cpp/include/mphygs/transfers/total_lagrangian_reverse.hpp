@@ -20,8 +20,8 @@ class TotalLagrangianReverse {
     };
 
     TotalLagrangianReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
-                           const Trajectory<T>& bar, const PointHook<T>* hook)
-        : model_(model), schedule_(schedule), bar_(bar), run_(model, inputs_of(fields, hook), schedule) {
+                           const Trajectory<T>& bar, const PointHook<T>* hook, Team& team)
+        : model_(model), schedule_(schedule), bar_(bar), run_(model, inputs_of(fields, hook), schedule, team) {
         const std::size_t blocks = model.geometry_.block_count();
         double time = schedule.start;
         for (int f = 0; f < schedule.frame_count(); ++f) {
@@ -183,7 +183,7 @@ class TotalLagrangianReverse {
         if (run_.inputs_.hook) {
             reverse_hook(time, dt);
         }
-        for_each_index(static_cast<int>(model_.chunks_.size()), model_.settings_.threads, [&](int c) {
+        run_.team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) {
             reverse_chunk(static_cast<std::size_t>(c), time, dt);
         });
         for (std::size_t c = 0; c < model_.chunks_.size(); ++c) {

@@ -6,7 +6,7 @@
 #include <cstring>
 
 #include "mphygs/constraint.hpp"
-#include "mphygs/parallel.hpp"
+#include "mphygs/team.hpp"
 #include "mphygs/transfers/total_lagrangian.hpp"
 
 namespace mphygs {
@@ -20,8 +20,9 @@ class TotalLagrangianRun {
     using U = PlainScalar<T, K>;
     static constexpr int lanes = K + 1;
 
-    TotalLagrangianRun(const Model& model, const Inputs<T, K>& inputs, const Schedule& schedule)
-        : model_(model), inputs_(inputs), schedule_(schedule), stride_(model.stride_), size_(3 * model.stride_) {
+    /// team: whose threads share the work of a substep.
+    TotalLagrangianRun(const Model& model, const Inputs<T, K>& inputs, const Schedule& schedule, Team& team)
+        : model_(model), inputs_(inputs), schedule_(schedule), team_(&team), stride_(model.stride_), size_(3 * model.stride_) {
         const Geometry& g = model.geometry_;
         const std::size_t blocks = g.block_count();
         u_.assign(lanes * size_, T{});
@@ -96,8 +97,8 @@ class TotalLagrangianRun {
     /// Substep `n` of the whole run, in output interval `frame`.
     void step(int n, int frame, double time, double dt) {
         refresh_uniforms(time, dt);
-        for_each_index(static_cast<int>(model_.chunks_.size()), model_.settings_.threads,
-                       [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
+        team_->each(static_cast<int>(model_.chunks_.size()),
+                    [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
         reduce_forces();
         place_forces(time);
         hook_forces(time, dt);
@@ -173,6 +174,18 @@ class TotalLagrangianRun {
                 lane_of(uniforms_[i], l) = broadcast<T>(lane_of(plain_uniforms_[i], l));
             }
         }
+        value_uniforms_.resize(uniforms_.size());
+        for (std::size_t i = 0; i < uniforms_.size(); ++i) {
+            value_uniforms_[i] = lane_of(uniforms_[i], 0);
+        }
+        if constexpr (std::is_same_v<T, float> && K > 1) {
+            pair_uniforms_.resize(static_cast<std::size_t>(K / 2) * uniforms_.size());
+            for (std::size_t k = 0; k < static_cast<std::size_t>(K / 2); ++k) {
+                for (std::size_t i = 0; i < uniforms_.size(); ++i) {
+                    pair_uniforms_[k * uniforms_.size() + i] = pair_of(uniforms_[i], 2 * static_cast<int>(k) + 1);
+                }
+            }
+        }
     }
 
     void prepare_mass() {
@@ -234,6 +247,12 @@ class TotalLagrangianRun {
         if (!model_.sites_.volume && model_.settings_.law == Law::neo_hookean) {
             elastic_forces(b, out, span, rows, table);
             return;
+        }
+        if constexpr (std::is_same_v<T, float> && K > 1) {
+            if (used_ > 1) {
+                volume_pairs(b, time, dt, out, span, rows, table);
+                return;
+            }
         }
         VolumePoint<S> p;
         load_point(b, p, time, dt);
@@ -319,8 +338,7 @@ class TotalLagrangianRun {
             }
             return r;
         };
-        // Lanes l and l + 1 of a number lie side by side.
-        const auto lanes_of = [](const S& x, int l) { return load_pair(reinterpret_cast<const float*>(&x.d[l - 1])); };
+        const auto lanes_of = [](const S& x, int l) { return pair_lanes(x, l); };
         NeoHookean::Linearised<W> law;
         law.f = twice(point.f);
         law.c = twice(point.c);
@@ -366,6 +384,97 @@ class TotalLagrangianRun {
         return l;
     }
 
+    /// Law and volume effects, two directions at a time: numbers with all directions would live in memory.
+    void volume_pairs(std::size_t b, double time, double dt, float* out, std::size_t span, const Rows& rows,
+                      const GradientTable<float>& table) {
+        using D = PairScalar;
+        static_assert(K % 2 == 0);
+        const std::size_t count = static_cast<std::size_t>(model_.sites_.history);
+        thread_local std::vector<D> before, after;
+        before.resize(count);
+        after.resize(count);
+        const Mat3<Pack<float>> strain = gather_gradient<float>(u_.data(), stride_, rows, table);
+        Mat3<Pack<float>> speed;
+        if (model_.sites_.rate) {
+            speed = gather_gradient<float>(v_.data(), stride_, rows, table);
+        }
+        const auto gathered = [&](const Mat3<Pack<float>>& value, const std::vector<float>& field, int l) {
+            const Mat3<PackPair> change = gather_gradient_pair(field.data() + at(l, 0, 0), size_, stride_, rows, table);
+            Mat3<D> r;
+            for (int i = 0; i < 9; ++i) {
+                r.e[i / 3][i % 3] = D(join(value.e[i / 3][i % 3], value.e[i / 3][i % 3]));
+                r.e[i / 3][i % 3].d[0] = change.e[i / 3][i % 3];
+            }
+            return r;
+        };
+        thread_local VolumePoint<D> p;  // large: cleared once, written over
+        for (int l = 1; l < used_; l += 2) {
+            p.acceleration = {};
+            Mat3<D> f0;
+            p.deformation = gathered(strain, u_, l);
+            if (prestressed_) {
+                f0 = pair_of(f0_[b], l);
+                p.deformation = f0 + p.deformation * f0;
+            } else {
+                p.deformation = Mat3<D>::identity() + p.deformation;
+            }
+            if (model_.sites_.rate) {
+                p.rate = gathered(speed, v_, l);
+                if (prestressed_) {
+                    p.rate = p.rate * f0;
+                }
+            }
+            p.mu = pair_of(mu_[b], l);
+            p.lambda = pair_of(lambda_[b], l);
+            p.law = model_.settings_.law;
+            p.time = static_cast<float>(time);
+            p.dt = static_cast<float>(dt);
+            if (model_.sites_.volume) {
+                S* history = history_.data() + b * count;
+                for (std::size_t i = 0; i < count; ++i) {
+                    before[i] = pair_of(history[i], l);
+                }
+                const D* uniforms = pair_uniforms_.data() + static_cast<std::size_t>(l / 2) * uniforms_.size();
+                evaluate_volume(model_.slots_, uniforms, p, before.data(), after.data());
+                if (l + 2 < used_) {
+                    // The other pairs still need the value before.
+                    for (std::size_t i = 0; i < count; ++i) {
+                        history[i].d[l - 1] = lower(after[i].d[0]);
+                        history[i].d[l] = upper(after[i].d[0]);
+                    }
+                } else {
+                    for (std::size_t i = 0; i < count; ++i) {
+                        put_pair(history[i], l, after[i]);
+                    }
+                }
+                if (model_.sites_.body_volume) {
+                    const Vec3<D> force = pair_of(mass_points_[b], l) * p.acceleration;
+                    const ValueTable<float>& values = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+                    for (int k = l == 1 ? 0 : l; k < std::min(l + 2, used_); ++k) {
+                        scatter_value<float>(pair_part(force, l, k), out + static_cast<std::size_t>(k) * 3 * span, span, rows, values);
+                    }
+                }
+            } else {
+                p.stress = elastic_stress(p.law, p.deformation, p.mu, p.lambda);
+            }
+            Mat3<D> stress = prestressed_ ? p.stress * transpose(f0) : p.stress;
+            stress = (-pair_of(volume_[b], l)) * stress;
+            alignas(64) float values[3][3][3][8];
+            for (int i = 0; i < 9; ++i) {
+                const D& x = stress.e[i / 3][i % 3];
+                store<float>(values[0][i / 3][i % 3], lower(x.v));
+                store<float>(values[1][i / 3][i % 3], lower(x.d[0]));
+                store<float>(values[2][i / 3][i % 3], upper(x.d[0]));
+            }
+            if (l == 1) {
+                scatter_gradient_rows(values[0], out, span, rows, table);
+            }
+            for (int k = 0; k < 2 && l + k < used_; ++k) {
+                scatter_gradient_rows(values[k + 1], out + static_cast<std::size_t>(l + k) * 3 * span, span, rows, table);
+            }
+        }
+    }
+
     void load_point(std::size_t b, VolumePoint<S>& p, double time, double dt) const {
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
         const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
@@ -391,18 +500,13 @@ class TotalLagrangianRun {
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.surface_rows_[b].data());
         const ValueTable<T>& table = model_.surface_values_[b];
         SurfacePoint<S> p;
-        const double* rest = &model_.geometry_.surface_points[24 * static_cast<std::size_t>(model_.surface_order_[b])];
         for (int l = 0; l < used_; ++l) {
             const Vec3<Pack<T>> u = gather_value<T>(u_.data() + at(l, 0, 0), stride_, rows, table);
             const Vec3<Pack<T>> v = gather_value<T>(v_.data() + at(l, 0, 0), stride_, rows, table);
+            const Vec3<Pack<T>> x = l == 0 ? surface_position(b, u) : u;
             for (int c = 0; c < 3; ++c) {
-                lane_of(p.position[c], l) = u[c];
+                lane_of(p.position[c], l) = x[c];
                 lane_of(p.velocity[c], l) = v[c];
-                if (l == 0) {
-                    for (int q = 0; q < 8; ++q) {
-                        lane_of(p.position[c], 0)[q] += static_cast<T>(rest[3 * q + c]);
-                    }
-                }
             }
         }
         p.area = S(surface_area_[b]);
@@ -410,16 +514,76 @@ class TotalLagrangianRun {
         return p;
     }
 
+    /// Where the eight surface points of a block are.
+    Vec3<Pack<T>> surface_position(std::size_t b, const Vec3<Pack<T>>& displacement) const {
+        const double* rest = &model_.geometry_.surface_points[24 * static_cast<std::size_t>(model_.surface_order_[b])];
+        Vec3<Pack<T>> x = displacement;
+        for (int c = 0; c < 3; ++c) {
+            for (int q = 0; q < 8; ++q) {
+                x[c][q] += static_cast<T>(rest[3 * q + c]);
+            }
+        }
+        return x;
+    }
+
     void surface_forces(std::size_t b, double time, T* out, std::size_t span) const {
-        const Vec3<S> force = evaluate_surface(model_.slots_, uniforms_.data(), surface_point(b, time));
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.surface_rows_[b].data());
+        const ValueTable<T>& table = model_.surface_values_[b];
+        if (model_.sites_.out_of_reach) {
+            const Vec3<Pack<T>> x = surface_position(b, gather_value<T>(u_.data(), stride_, rows, table));
+            if (surface_out_of_reach(model_.slots_, value_uniforms_.data(), x)) {
+                return;
+            }
+        }
+        if constexpr (std::is_same_v<T, float> && K > 1) {
+            if (used_ > 1) {
+                surface_pairs(b, time, out, span, rows, table);
+                return;
+            }
+        }
+        const Vec3<S> force = evaluate_surface(model_.slots_, uniforms_.data(), surface_point(b, time));
         for (int l = 0; l < used_; ++l) {
             Vec3<Pack<T>> part;
             for (int c = 0; c < 3; ++c) {
                 part[c] = lane_of(force[c], l);
             }
-            scatter_value<T>(part, out + static_cast<std::size_t>(l) * 3 * span, span, rows, model_.surface_values_[b]);
+            scatter_value<T>(part, out + static_cast<std::size_t>(l) * 3 * span, span, rows, table);
         }
+    }
+
+    /// Two directions at a time, as `volume_pairs`.
+    void surface_pairs(std::size_t b, double time, float* out, std::size_t span, const Rows& rows,
+                       const ValueTable<float>& table) const {
+        using D = PairScalar;
+        const Vec3<Pack<float>> x = surface_position(b, gather_value<float>(u_.data(), stride_, rows, table));
+        const Vec3<Pack<float>> v = gather_value<float>(v_.data(), stride_, rows, table);
+        for (int l = 1; l < used_; l += 2) {
+            SurfacePoint<D> p;
+            const Vec3<PackPair> dx = gather_value_pair(u_.data() + at(l, 0, 0), size_, stride_, rows, table);
+            const Vec3<PackPair> dv = gather_value_pair(v_.data() + at(l, 0, 0), size_, stride_, rows, table);
+            for (int c = 0; c < 3; ++c) {
+                p.position[c].v = join(x[c], x[c]);
+                p.position[c].d[0] = dx[c];
+                p.velocity[c].v = join(v[c], v[c]);
+                p.velocity[c].d[0] = dv[c];
+            }
+            p.area = D(join(surface_area_[b], surface_area_[b]));
+            p.time = static_cast<float>(time);
+            const Vec3<D> force =
+                evaluate_surface(model_.slots_, pair_uniforms_.data() + static_cast<std::size_t>(l / 2) * uniforms_.size(), p);
+            for (int k = l == 1 ? 0 : l; k < std::min(l + 2, used_); ++k) {
+                scatter_value<float>(pair_part(force, l, k), out + static_cast<std::size_t>(k) * 3 * span, span, rows, table);
+            }
+        }
+    }
+
+    /// Lane k of a vector that holds the value and lanes l and l + 1.
+    static Vec3<Pack<float>> pair_part(const Vec3<PairScalar>& a, int l, int k) {
+        Vec3<Pack<float>> r;
+        for (int c = 0; c < 3; ++c) {
+            r[c] = k == 0 ? lower(a[c].v) : k == l ? lower(a[c].d[0]) : upper(a[c].d[0]);
+        }
+        return r;
     }
 
     void reduce_forces() {
@@ -715,6 +879,7 @@ class TotalLagrangianRun {
     const Model& model_;
     Inputs<T, K> inputs_;
     const Schedule& schedule_;
+    Team* team_;
     std::size_t stride_, size_;
     bool prestressed_ = false;
     int used_ = 1;  // lanes: the value and the directions that are given
@@ -724,6 +889,8 @@ class TotalLagrangianRun {
     std::vector<Pack<T>> surface_area_;
     std::vector<std::vector<T>> chunk_force_;
     std::vector<S> uniforms_;
+    std::vector<Pack<T>> value_uniforms_;    // the same without directions
+    std::vector<PairScalar> pair_uniforms_;  // and for every two of them
     std::vector<U> plain_uniforms_, parameters_;
     Vec3<U> gravity_;
     U compliance_{};
