@@ -22,7 +22,7 @@ from mphygs.extend.step import EXPLAINED, Step
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.schedule import default_spacing, fit_belief, plan_of
+from mphygs.fit.schedule import default_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -332,7 +332,8 @@ def discover(
         # What is concluded is told to its last digits, what was found with the grid's share of its errors.
         steps[-1] = polished(experiment, steps[-1], report)
         if steps[-1].added and not known_budget(steps[-1]):
-            steps[-1] = with_budget(experiment, steps[-1], report)
+            coarser = screening_spacing(experiment.capture)
+            steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
     return _conclude(steps, rankings, warnings)
 
 

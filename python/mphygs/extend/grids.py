@@ -206,13 +206,22 @@ def known_budget(step: Step) -> bool:
 
 
 def with_budget(
-    experiment: Experiment, step: Step, report: Callable[[str], None] | None = None
+    experiment: Experiment,
+    step: Step,
+    report: Callable[[str], None] | None = None,
+    *,
+    beside: float | None = None,
 ) -> Step:
-    """The step with the discretisation's share of its misfit known, from one refinement."""
+    """The step with the discretisation's share of its misfit known, from one refinement.
+
+    beside: spacing of a coarser grid [m] that shows it well enough where nothing is decided by it, at a
+    hundredth of the work; a finer one is asked where it is not much coarser, or cannot carry the model.
+    """
+    coarse = beside if beside is not None and beside > LENDS * step.spacing else None
     try:
-        compared = experiment.compare(step.belief, step.spacing, refine=True)
+        compared = experiment.compare(step.belief, step.spacing, refine=True, beside=coarse)
     except SimulationError:
-        return step
+        return step if coarse is None else with_budget(experiment, step, report)
     assessment = experiment.assess(compared)
     if report:
         shares = ", ".join(f"{name} {1e3 * share:.3f}" for name, share in assessment.budget.items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -29,7 +28,7 @@ from mphygs.fit.tables import errors_text, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.model.registry import effects
 from mphygs.model.user_effect import load_plugin
-from mphygs.simulate.settings import Settings, check_effects
+from mphygs.simulate.settings import Settings, available_cores, check_effects
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
@@ -105,7 +104,7 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     else:
         _check(options)
         state, capture = _new(options, console)
-    settings = replace(state.settings, workers=options.workers or os.cpu_count() or 1)
+    settings = replace(state.settings, workers=options.workers or available_cores())
     experiment = Experiment(capture, settings, dict(state.ranges))
     console.resume = f"{PROGRAM} --out {shlex.quote(str(state.folder))} --resume"
     state.save()

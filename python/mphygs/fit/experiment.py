@@ -169,9 +169,14 @@ class Experiment:
         names: Sequence[str] | None = None,
         jacobian: bool = True,
         refine: bool = False,
+        beside: float | None = None,
         report: Callable[[str], None] | None = None,
     ) -> dict[str, Compared]:
-        """Prediction beside measurement of every sequence at a fitted belief."""
+        """Prediction beside measurement of every sequence at a fitted belief.
+
+        refine: whether the discretisation's share is asked for; beside: spacing of the grid that shows it
+        [m], None for a finer one.
+        """
         out = {}
         for name in self.compared_names(names):
             if report:
@@ -186,10 +191,10 @@ class Experiment:
             total = predictor.recording.frames
             refinement = None
             if refine:
-                finer = self.predictor(name, spacing / REFINEMENT)
-                moved = finer.predict(known, last=last).position - prediction.position
-                # Richardson: the whole error is the change over 1 - 1/r^2.
-                refinement = _full(moved / (1.0 - REFINEMENT**-2), total)
+                other = spacing / REFINEMENT if beside is None else beside
+                moved = self.predictor(name, other).predict(known, last=last).position - prediction.position
+                # Richardson: the whole error is the change over 1 - r^2, r the ratio of the spacings.
+                refinement = _full(moved / (1.0 - (other / spacing) ** 2), total)
             out[name] = Compared(
                 self.observations[name],
                 _full(prediction.position, total),

@@ -36,6 +36,9 @@ class MaterialPoints(Transfer):
     def grid_body(self) -> Body:
         return self.body.grid
 
+    def share(self, model: object, threads: int) -> None:
+        """Its runs take a thread each: several go side by side."""
+
     def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
         kind = _core.MlsMpmFloat32 if self.settings.number == np.float32 else _core.MlsMpmFloat64
         points = self.body.geometry["points"]

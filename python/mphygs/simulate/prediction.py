@@ -272,22 +272,26 @@ class Predictor:
         progress: Callable[[int], bool] | None,
     ) -> tuple[tuple, list[tuple]]:
         """The states, and their tangent by every owned parameter."""
-        model = self.model_of(belief)
         if not owned:
+            model = self.model_of(belief)
             fields = self.inputs(belief, timeline, start)
             hook = self._hook(belief, fields)
+            self.transfer.share(model, self.settings.workers)
             return self.transfer.simulate(model, fields, timeline.schedule, progress, hook), []
         for owner, _ in owned:
             check_effects(self.settings.transfer, owner.effects)
-        workers = self.settings.workers
+        # As few runs as there can be, side by side; what threads are left share each run's work.
+        largest, workers = self.transfer.batch, max(1, self.settings.workers)
+        runs = min(workers, -(-len(owned) // largest)) if self.transfer.shares else workers
         changes = self.changes(belief, owned, timeline, start)
         batches = batches_of(
-            belief, self.body, self._material(belief, start), owned, changes,
-            largest=self.transfer.batch, workers=workers,
-        )  # fmt: skip
+            belief, self.body, self._material(belief, start), owned, changes, largest=largest, workers=runs
+        )
         imposed = self._imposed(belief, timeline)
         # Models are made here, one after the other: caches are not shared between threads.
         models = [self.model(batch.active, batch.spots, belief.law) for batch in batches]
+        for model in models:
+            self.transfer.share(model, max(1, workers // len(batches)))
 
         def run(batch: Batch, model: object) -> list[tuple]:
             fields = batch.fields | imposed

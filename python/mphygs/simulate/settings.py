@@ -14,15 +14,22 @@ TOTAL_LAGRANGIAN, MLS = "total-lagrangian", "mls"
 TRANSFERS = (TOTAL_LAGRANGIAN, MLS)
 
 
+def available_cores() -> int:
+    """Cores that this process may run on."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
 @dataclass(frozen=True)
 class Settings:
     """How a simulation is run. spacing: [m]; safety: share of the stable substep that is used;
-    workers: runs side by side; dtype: "float32" or "float64"; memory_budget: of the adjoint [byte];
-    transfer: how particles and grid exchange momentum, "total-lagrangian" or "mls"."""
+    workers: cores to use, for runs side by side or one run's work; dtype: "float32" or "float64";
+    memory_budget: of the adjoint [byte]; transfer: how particles and grid exchange momentum,
+    "total-lagrangian" or "mls"."""
 
     spacing: float
     safety: float = 0.85
-    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    workers: int = field(default_factory=available_cores)
     dtype: str = "float32"
     memory_budget: int = 2 << 30
     transfer: str = TOTAL_LAGRANGIAN
