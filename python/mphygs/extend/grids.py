@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
+from mphygs.extend.finer import finer
 from mphygs.extend.step import Step, excess
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
@@ -130,6 +131,7 @@ def on_grid(
         compared=compared,
         assessment=assessment,
         spacing=spacing,
+        lender=None,
     )
 
 
@@ -177,6 +179,8 @@ def followed(
 
 def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """The step with its numbers at the minimum, to a small share of their errors; refits stop short."""
+    if step.lender is not None:
+        return step  # what Jacobians of another grid lead to has none
     say = report or (lambda _text: None)
     problem = experiment.problem(step.spacing)
     solution = minimise(problem, step.belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)
@@ -251,9 +255,14 @@ def refined(
     if spacing is not None:
         current = on_grid(experiment, current, spacing, report) or current
     fine = not screening or current.spacing < 1.1 * default_spacing(experiment.capture)
-    if fine and not current.explained and current.assessment.worst < LARGEST_GRID_ERROR:
-        current = with_budget(experiment, current, report)
-    return current
+    if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
+        return current
+    small = excess(current.assessment) < EXPLAINED_ON_COARSE * excess(steps[0].assessment)
+    if screening and current.added and small and not sets_in(current):
+        after = finer(experiment, current, report)
+        if after is not None and after.explained:
+            return after
+    return with_budget(experiment, current, report)
 
 
 def probed(

@@ -13,6 +13,7 @@ import numpy as np
 
 from mphygs.compare.noise import observe
 from mphygs.diagnose.outliers import bad_observations
+from mphygs.extend.finer import lent
 from mphygs.extend.grids import known_budget
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
@@ -51,25 +52,24 @@ def readmitted(experiment: Experiment, step: Step, report: Callable[[str], None]
     masked = dict(experiment.observations)
     experiment.observations.update(whole)
     experiment.problems.clear()
-    try:
-        problem = experiment.problem(step.spacing)
-        solution = minimise(problem, step.belief, iterations=ITERATIONS, relative_tolerance=1e-3)
-        compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
-    except SimulationError:
-        compared = None
-    after = None
-    if compared is not None:
-        after = replace(
-            step,
-            belief=solution.belief,
-            solution=solution,
-            compared=compared,
-            assessment=experiment.assess(compared),
-            dropped=(*step.dropped, FAULT),
-        )
+    after = _refitted(experiment, step, report)
     if after is None or not after.explained:
         experiment.observations.update(masked)
         experiment.problems.clear()
         return step
     say(f"{left_out} measurements that were left out are as predicted: used again")
-    return after
+    return replace(after, dropped=(*step.dropped, FAULT))
+
+
+def _refitted(experiment: Experiment, step: Step, report: Callable[[str], None] | None) -> Step | None:
+    """The step fitted once more, None where that cannot be simulated."""
+    if step.lender is not None:
+        return lent(experiment, step, step.spacing, step.lender, report)
+    try:
+        problem = experiment.problem(step.spacing)
+        solution = minimise(problem, step.belief, iterations=ITERATIONS, relative_tolerance=1e-3)
+        compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
+    except SimulationError:
+        return None
+    assessment = experiment.assess(compared)
+    return replace(step, belief=solution.belief, solution=solution, compared=compared, assessment=assessment)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from mphygs.extend.finer import lent
 from mphygs.extend.grids import complete, on_grid, refined
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import Step, does_alike, excess
@@ -48,6 +49,18 @@ def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
     return chosen, [step for step in (best, *rivals) if step is not chosen]
 
 
+def _beside(
+    experiment: Experiment, rival: Step, best: Step, report: Callable[[str], None] | None
+) -> Step | None:
+    """A rival on the grid of the best step, None where it is hopeless or cannot be simulated there."""
+    reached = best.solution.evaluation
+    hopeless = (ALIKE * reached.chi_square / max(reached.data_rows, 1)) ** 0.5
+    if best.lender is None:
+        return on_grid(experiment, rival, best.spacing, report, hopeless=hopeless, tangents=False)
+    moved = on_grid(experiment, rival, best.lender, report, tangents=False)
+    return moved and lent(experiment, moved, best.spacing, best.lender, report)
+
+
 def settled(
     experiment: Experiment,
     steps: Sequence[Step],
@@ -70,15 +83,7 @@ def settled(
         if rival.spacing != best.spacing:
             if not best.explained:
                 continue
-            reached = best.solution.evaluation
-            moved = on_grid(
-                experiment,
-                rival,
-                best.spacing,
-                report,
-                hopeless=(ALIKE * reached.chi_square / max(reached.data_rows, 1)) ** 0.5,
-                tangents=False,
-            )
+            moved = _beside(experiment, rival, best, report)
             if moved is None:
                 continue
             rival = moved

@@ -23,7 +23,8 @@ class Step:
     """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
     cannot tell from them; since: share of the fitted frames, from the first on, that they were found on;
     dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
-    fitted to all frames, explains them all."""
+    fitted to all frames, explains them all; lender: spacing of the coarser grid that its Jacobians are
+    of [m], None where they are its own."""
 
     belief: Belief
     solution: Solution
@@ -36,6 +37,7 @@ class Step:
     since: float = 1.0
     dropped: tuple[str, ...] = ()
     reconciled: bool = False
+    lender: float | None = None
 
     @property
     def explained(self) -> bool:

@@ -185,6 +185,34 @@ def approached(
     return borrowing.lowest[1]
 
 
+def borrowed(
+    problem: Problem,
+    lender: Problem,
+    belief: Belief,
+    *,
+    iterations: int = 8,
+    relative_tolerance: float = 1e-3,
+    report: Callable[[int, Evaluation, Belief], None] | None = None,
+) -> Solution:
+    """The best that Jacobians of a lender lead to, as a solution whose Jacobian is the lender's as well.
+
+    lender: the same fit on a coarser grid. Raises SimulationError where either cannot be simulated.
+    """
+    borrowing = _Borrowing(problem, lender)
+    solution = minimise(
+        borrowing,
+        belief,
+        iterations=iterations,
+        relative_tolerance=relative_tolerance,
+        trials=BORROWED_TRIALS,
+        report=report,
+    )
+    cost, best = borrowing.lowest
+    if cost < solution.evaluation.cost:
+        solution = replace(solution, belief=best, evaluation=borrowing.evaluate(best))
+    return solution
+
+
 def minimise(
     problem: Problem,
     belief: Belief,
