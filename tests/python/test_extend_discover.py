@@ -346,6 +346,12 @@ def test_what_the_grid_excuses_is_not_beaten_by_what_fits_its_error(
     # A rival at the floor is another matter.
     found = kept(monkeypatch, excused, step_of(assessment_of(1.05), added=("wind",), free=5))
     assert found.added == ("wind",)
+    # Both are excused: the one with less to bend, and of two alike the closer one.
+    closer = step_of(assessment_of(1.5, adequate=True), added=("wind",), free=5)
+    found = kept(monkeypatch, excused, closer)
+    assert (found.added, found.ties) == (("air_drag",), ("wind",))
+    found = kept(monkeypatch, excused, replace(closer, belief=excused.belief))
+    assert (found.added, found.ties) == (("wind",), ())
     # Nor is one protected that is not explained.
     found = kept(monkeypatch, replace(excused, assessment=assessment_of(3.4)), bent)
     assert (found.added, found.ties) == (("wind",), ())
@@ -360,6 +366,28 @@ def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.Monk
     assert found.ties == ()
     found = kept(monkeypatch, best, model("wind", 0.48, 2), clearly)
     assert (found.added, found.ties) == (("viscosity",), ("wind",))
+
+
+def test_rivals_follow_to_a_grid_that_lent_tangents_reached(monkeypatch: pytest.MonkeyPatch) -> None:
+    went: list[tuple[float, float]] = []
+
+    def on_grid(_experiment: object, step: Step, spacing: float, _report: object, *, tangents: bool) -> Step:
+        assert not tangents
+        return replace(step, spacing=spacing)
+
+    def lent(_experiment: object, step: Step, spacing: float, lender: float, _report: object) -> Step:
+        went.append((step.spacing, spacing))
+        return replace(step, spacing=spacing, lender=lender, assessment=excess_of(0.05))
+
+    def refined(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
+        return replace(steps[-1], spacing=0.4 * SPACING, lender=0.5 * SPACING)
+
+    for name, function in {"refined": refined, "on_grid": on_grid, "lent": lent}.items():
+        monkeypatch.setattr(settle, name, function)
+    best, rival = model("viscosity", 0.05, 2), model("fibre", 0.06, 3)
+    found = settled(None, [step_of(assessment_of(20.0))], best, [rival], None, screening=True)
+    assert went == [(0.5 * SPACING, 0.4 * SPACING)]
+    assert (found.added, found.ties) == (("viscosity",), ("fibre",))
 
 
 def test_rivals_are_compared_on_the_grid_of_the_best(monkeypatch: pytest.MonkeyPatch) -> None:

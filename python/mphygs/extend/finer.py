@@ -12,7 +12,7 @@ from mphygs.simulate.errors import SimulationError
 
 # A grid so many times as fine costs three times as much; its tangents are never asked for.
 FINER = 1.3
-ITERATIONS = 3
+ITERATIONS, ACCURACY = 4, 3e-4
 
 
 def finer(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step | None:
@@ -46,7 +46,7 @@ def lent(
             experiment.problem(lender),
             step.belief,
             iterations=ITERATIONS,
-            relative_tolerance=1e-3,
+            relative_tolerance=ACCURACY,
             report=tell,
         )
         here = experiment.compare(solution.belief, spacing, jacobian=False)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from mphygs.extend.finer import lent
 from mphygs.extend.grids import complete, on_grid, refined
 from mphygs.extend.refit import Refit
-from mphygs.extend.step import Step, does_alike, excess
+from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
@@ -61,6 +61,16 @@ def _beside(
     return moved and lent(experiment, moved, best.spacing, best.lender, report)
 
 
+def _takes_the_grids(best: Step, rival: Step) -> bool:
+    """Whether what a rival explains beyond an explained model is the grid's, which is no gain: it is not
+    explained, or not at the floor either and has more parameters for what the best one is excused."""
+    if not best.explained:
+        return False
+    more = len(rival.belief.free) > len(best.belief.free)
+    excused = min(best.assessment.worst, rival.assessment.worst) > EXPLAINED
+    return not rival.explained or (excused and more)
+
+
 def settled(
     experiment: Experiment,
     steps: Sequence[Step],
@@ -89,9 +99,8 @@ def settled(
             rival = moved
         alike.append(rival)
     alike.sort(key=lambda step: excess(step.assessment))
-    # What is left of an explained model is the grid's: more parameters that take some of that are no gain.
     beaten = alike and not does_alike(best, alike[0])
-    if beaten and (alike[0].explained or not best.explained):
+    if beaten and not _takes_the_grids(best, alike[0]):
         best, alike = alike[0], [best, *alike[1:]]
     tied = [best, *(r for r in alike if does_alike(r, best))]
     # Of models that do alike the one with fewest parameters comes first.
