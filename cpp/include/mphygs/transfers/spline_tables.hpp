@@ -64,11 +64,12 @@ inline int node_of(const Rows& rows, int a) {
     return rows[a / 3] + a % 3;
 }
 
-/// sum_a f_a (dN_a/dx)^T at the eight points. field: 3 arrays of `stride` numbers.
-template <class T>
-inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const Rows& rows, const GradientTable<T>& table) {
+/// sum_a f_a (dN_a/dx)^T. at: reads a number of the field, wide: makes a weight, as lanes of W.
+template <class W, class T, class At, class Wide>
+inline Mat3<W> gradient_sums(const T* field, std::size_t stride, const Rows& rows, const GradientTable<T>& table, const At& at,
+                             const Wide& wide) {
     // Named sums: g++ 12 leaves an indexed local array in memory inside a loop.
-    Pack<T> xx{}, xy{}, xz{}, yx{}, yy{}, yz{}, zx{}, zy{}, zz{};
+    W xx{}, xy{}, xz{}, yx{}, yy{}, yz{}, zx{}, zy{}, zz{};
     const T* x = field;
     const T* y = field + stride;
     const T* z = field + 2 * stride;
@@ -76,8 +77,8 @@ inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const R
     for (int r = 0; r < row_count_27; ++r) {
         for (int k = 0; k < 3; ++k, ++w) {
             const int n = rows[r] + k;
-            const Pack<T> wx = (*w)[0], wy = (*w)[1], wz = (*w)[2];
-            const T a = x[n], b = y[n], c = z[n];
+            const W wx = wide((*w)[0]), wy = wide((*w)[1]), wz = wide((*w)[2]);
+            const auto a = at(x + n), b = at(y + n), c = at(z + n);
             xx += a * wx;
             xy += a * wy;
             xz += a * wz;
@@ -92,72 +93,55 @@ inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const R
     return {{{xx, xy, xz}, {yx, yy, yz}, {zx, zy, zz}}};
 }
 
-/// `gather_gradient` of two fields at once, the second one `second` numbers behind the first: their points
-/// in the lower and the upper eight lanes.
-inline Mat3<PackPair> gather_gradient_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
-                                       const GradientTable<float>& table) {
-    PackPair xx{}, xy{}, xz{}, yx{}, yy{}, yz{}, zx{}, zy{}, zz{};
-    const float* x = field;
-    const float* y = field + stride;
-    const float* z = field + 2 * stride;
-    const Pack<float>(*w)[3] = table.by_node;
-    const auto both = [second](const float* p) { return join(broadcast(p[0]), broadcast(p[second])); };
-    for (int r = 0; r < row_count_27; ++r) {
-        for (int k = 0; k < 3; ++k, ++w) {
-            const int n = rows[r] + k;
-            const PackPair wx = join((*w)[0], (*w)[0]), wy = join((*w)[1], (*w)[1]), wz = join((*w)[2], (*w)[2]);
-            const PackPair a = both(x + n), b = both(y + n), c = both(z + n);
-            xx += a * wx;
-            xy += a * wy;
-            xz += a * wz;
-            yx += b * wx;
-            yy += b * wy;
-            yz += b * wz;
-            zx += c * wx;
-            zy += c * wy;
-            zz += c * wz;
-        }
-    }
-    return {{{xx, xy, xz}, {yx, yy, yz}, {zx, zy, zz}}};
-}
-
-template <class T>
-inline Vec3<Pack<T>> gather_value(const T* field, std::size_t stride, const Rows& rows, const ValueTable<T>& table) {
-    Vec3<Pack<T>> g;
+/// sum_a f_a N_a, as `gradient_sums`.
+template <class W, class T, class At, class Wide>
+inline Vec3<W> value_sums(const T* field, std::size_t stride, const Rows& rows, const ValueTable<T>& table, const At& at,
+                          const Wide& wide) {
+    W x{}, y{}, z{};
     for (int r = 0; r < row_count_27; ++r) {
         for (int k = 0; k < 3; ++k) {
-            const int n = rows[r] + k;
-            const Pack<T>& w = table.by_node[r * 3 + k];
-            for (int c = 0; c < 3; ++c) {
-                g.e[c] += field[static_cast<std::size_t>(c) * stride + static_cast<std::size_t>(n)] * w;
-            }
-        }
-    }
-    return g;
-}
-
-/// `gather_value` of two fields, as `gather_gradient_pair`.
-inline Vec3<PackPair> gather_value_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
-                                        const ValueTable<float>& table) {
-    PackPair x{}, y{}, z{};
-    const auto both = [second](const float* p) { return join(broadcast(p[0]), broadcast(p[second])); };
-    for (int r = 0; r < row_count_27; ++r) {
-        for (int k = 0; k < 3; ++k) {
-            const float* node = field + rows[r] + k;
-            const PackPair w = join(table.by_node[r * 3 + k], table.by_node[r * 3 + k]);
-            x += both(node) * w;
-            y += both(node + stride) * w;
-            z += both(node + 2 * stride) * w;
+            const T* node = field + rows[r] + k;
+            const W w = wide(table.by_node[r * 3 + k]);
+            x += at(node) * w;
+            y += at(node + stride) * w;
+            z += at(node + 2 * stride) * w;
         }
     }
     return {{x, y, z}};
 }
 
+/// Reads a number of a field, and the same of the field that many numbers behind it.
+struct BothAt {
+    std::size_t second;
+    PackPair operator()(const float* p) const { return join(broadcast(p[0]), broadcast(p[second])); }
+};
+inline PackPair twice(const Pack<float>& w) { return join(w, w); }
+
+/// Gradient of a field at the eight points. field: 3 arrays of `stride` numbers.
 template <class T>
-inline void add_rows(const Pack<T> (&sums)[5], T* component, const Rows& rows) {
+inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const Rows& rows, const GradientTable<T>& table) {
+    return gradient_sums<Pack<T>>(field, stride, rows, table, [](const T* p) { return *p; }, [](const Pack<T>& w) { return w; });
+}
+/// Of two fields at once, the second one `second` numbers behind the first: their points in the lower and the
+/// upper eight lanes.
+inline Mat3<PackPair> gather_gradient_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
+                                           const GradientTable<float>& table) {
+    return gradient_sums<PackPair>(field, stride, rows, table, BothAt{second}, twice);
+}
+/// Value of a field at the eight points, and of two fields.
+template <class T>
+inline Vec3<Pack<T>> gather_value(const T* field, std::size_t stride, const Rows& rows, const ValueTable<T>& table) {
+    return value_sums<Pack<T>>(field, stride, rows, table, [](const T* p) { return *p; }, [](const Pack<T>& w) { return w; });
+}
+inline Vec3<PackPair> gather_value_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
+                                        const ValueTable<float>& table) {
+    return value_sums<PackPair>(field, stride, rows, table, BothAt{second}, twice);
+}
+
+/// Adds nine rows of four to the rows of a component.
+template <class T>
+inline void add_rows(const T* flat, T* component, const Rows& rows) {
     using Row = typename RowOf<T>::type;
-    alignas(64) T flat[node_lanes];
-    std::memcpy(flat, sums, sizeof flat);
     for (int r = 0; r < row_count_27; ++r) {
         Row row, added;
         std::memcpy(&row, component + rows[r], sizeof row);
@@ -165,6 +149,12 @@ inline void add_rows(const Pack<T> (&sums)[5], T* component, const Rows& rows) {
         row += added;
         std::memcpy(component + rows[r], &row, sizeof row);
     }
+}
+template <class T>
+inline void add_rows(const Pack<T> (&sums)[5], T* component, const Rows& rows) {
+    alignas(64) T flat[node_lanes];
+    std::memcpy(flat, sums, sizeof flat);
+    add_rows<T>(flat, component, rows);
 }
 
 /// Sums of nine rows: four in a register, four in the next, and the last one.
@@ -177,18 +167,11 @@ struct RowSums {
         last += factor * w2;
     }
     void to(float* component, const Rows& rows) const {
-        using Row = RowOf<float>::type;
         alignas(64) float flat[36];
         std::memcpy(flat, &first, sizeof first);
         std::memcpy(flat + 16, &second, sizeof second);
         std::memcpy(flat + 32, &last, sizeof last);
-        for (int r = 0; r < row_count_27; ++r) {
-            Row row, added;
-            std::memcpy(&row, component + rows[r], sizeof row);
-            std::memcpy(&added, flat + 4 * r, sizeof added);
-            row += added;
-            std::memcpy(component + rows[r], &row, sizeof row);
-        }
+        add_rows<float>(flat, component, rows);
     }
 };
 
