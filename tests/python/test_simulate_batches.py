@@ -96,6 +96,25 @@ def test_effects_share_a_register_as_the_law_does(names: list[str], count: int) 
     assert np.abs(still.position - together.position).max() > 1e-5  # the effect acts
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_what_is_passed_over_out_of_reach_of_a_wall_adds_nothing(count: int) -> None:
+    capture = bar_capture(frames=12, fps=100.0, fit=(0, 12))
+    keys = ("part0.youngs_modulus", "part0.density")
+    plain = bar_belief(capture, youngs_modulus=6e4, free=keys)
+    wall = plain.with_effect("contact", ACTING["contact"])
+    # Still air without drag reaches everywhere: beside it no point is passed over.
+    everywhere = wall.with_effect("air_drag", {"c_d": 0.0})
+    predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float64"))
+    wanted = ("contact.d", *keys)[:count]
+    near, whole = (predictor.predict(b, keys=wanted, substep=2e-4) for b in (wall, everywhere))
+    still = predictor.predict(plain, substep=2e-4)
+    assert np.abs(still.position - near.position).max() > 1e-5  # it is touched
+    assert near.position == pytest.approx(whole.position, abs=1e-12)
+    for k in range(count):
+        slope = whole.jacobian[..., k]
+        assert near.jacobian[..., k] == pytest.approx(slope, abs=1e-9 * np.abs(slope).max())
+
+
 @pytest.mark.parametrize("rest", ["stress-free", "equilibrium"])
 def test_threads_in_a_run_leave_no_trace(rest: str) -> None:
     shake = 0.01 * np.sin(np.linspace(0.0, 6.0, 10))[:, None] * [0.3, 1.0, 0.4]
