@@ -15,18 +15,26 @@ import tyro
 from mphygs.capture.format import load_capture
 from mphygs.command import Answer, CommonOptions, Console, OptionError, duration, names, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
-from mphygs.diagnose.__main__ import diagnosis_document, known_effects
+from mphygs.diagnose.__main__ import diagnosis_document, known_effects, ranking_entries
 from mphygs.diagnose.missing_force_document import (
     keep_missing_force,
     missing_force_text,
     unexplained,
 )
+from mphygs.diagnose.rank import Ranking
 from mphygs.extend.__main__ import DOCUMENT
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.step import Step
-from mphygs.extend.steps import left_out_of, run_at, step_at, step_document, steps_text
+from mphygs.extend.steps import (
+    left_out_of,
+    restored,
+    run_at,
+    state_of,
+    step_at,
+    step_document,
+    steps_text,
+)
 from mphygs.fit.__main__ import RUNS, FitOptions, fitted
-from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
@@ -107,28 +115,18 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     begun = replace(state, left_out=_left_out(kept))
     experiment, belief = experiment_of(begun, workers=options.workers)
     spacing = state.settings.spacing
-    documents = list(kept.get("steps", []))
-    beliefs = list(kept.get("beliefs", [document_of_belief(belief)]))
-    spacings = list(kept.get("spacings", [spacing]))
-    steps = [
-        replace(
-            step_at(experiment, belief_from_document(b), h, added=d["added"], ties=d["ties"]),
-            dropped=tuple(name for name in before if name not in d["effects"]),
-        )
-        for b, d, h, before in zip(
-            beliefs, documents, spacings, [(), *(d["effects"] for d in documents)], strict=False
-        )
-    ] or [step_at(experiment, belief, spacing)]
-    if not documents:
-        documents = [step_document(steps[0], experiment, ())]
-        _keep(out, documents, beliefs, spacings, experiment)
+    done = _Done(list(kept.get("steps", [])), list(kept.get("states", [])), kept.get("ranking"))
+    steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
+    if not done.documents:
+        done.tell(steps[0], experiment)
+        _keep(out, done, experiment)
 
-    def on_step(step: Step) -> None:
-        documents.append(step_document(step, experiment, documents[-1]["effects"]))
-        beliefs.append(document_of_belief(step.belief))
-        spacings.append(step.spacing)
-        _keep(out, documents, beliefs, spacings, experiment)
-        console.say("\n".join(steps_text(plain(documents[-1:]))))
+    def on_step(step: Step, rankings: Sequence[Ranking]) -> None:
+        done.tell(step, experiment)
+        if rankings and done.ranking is None:
+            done.ranking = ranking_entries([step], rankings[0], experiment)
+        _keep(out, done, experiment)
+        console.say("\n".join(steps_text(plain(done.documents[-1:]))))
 
     found = discover(
         experiment,
@@ -143,12 +141,35 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     )
     # Since it was told a step may have moved to a finer grid, and the last one learnt of the grid's share.
     for k, step in enumerate(found.steps):
-        if step.spacing != spacings[k] or k and k == len(found.steps) - 1:
-            documents[k] = step_document(step, experiment, documents[k - 1]["effects"] if k else ())
-            beliefs[k], spacings[k] = document_of_belief(step.belief), step.spacing
-    answer = _conclude(out, options, state, experiment, found, documents, console)
-    _keep(out, documents, beliefs, spacings, experiment, answer)
+        if step.spacing != done.states[k]["spacing"] or k and k == len(found.steps) - 1:
+            done.tell(step, experiment, k)
+    answer = _conclude(out, options, state, experiment, found, done, console)
+    _keep(out, done, experiment, answer)
     return Answer(answer, _text(answer, state.capture))
+
+
+@dataclass
+class _Done:
+    """What a loop keeps of its steps; ranking: of the first diagnosis, as a document, once there is one."""
+
+    documents: list[dict]
+    states: list[dict]
+    ranking: list[dict] | None
+
+    def tell(self, step: Step, experiment: Experiment, at: int | None = None) -> None:
+        """Keep a step, the next one or in the place of another."""
+        at = len(self.documents) if at is None else at
+        before = self.documents[at - 1]["effects"] if at else ()
+        self.documents[at : at + 1] = [step_document(step, experiment, before)]
+        self.states[at : at + 1] = [state_of(step)]
+
+    def steps(self, experiment: Experiment) -> list[Step]:
+        """The steps as they were."""
+        before = [(), *(document["effects"] for document in self.documents)]
+        return [
+            restored(experiment, state, document, earlier)
+            for state, document, earlier in zip(self.states, self.documents, before, strict=False)
+        ]
 
 
 def _default_folder(options: DiscoverOptions) -> Path:
@@ -176,17 +197,14 @@ def _left_out(kept: Mapping) -> dict[str, tuple[tuple[int, int], ...]]:
     }
 
 
-def _keep(
-    out: Path,
-    documents: list,
-    beliefs: list,
-    spacings: list,
-    experiment: Experiment,
-    answer: Mapping | None = None,
-) -> None:
+def _keep(out: Path, done: _Done, experiment: Experiment, answer: Mapping | None = None) -> None:
     """Write the steps so far; with the answer when the loop is done."""
-    left_out = left_out_of(experiment)
-    document = {"steps": documents, "beliefs": beliefs, "spacings": spacings, "left_out": left_out}
+    document = {
+        "steps": done.documents,
+        "states": done.states,
+        "ranking": done.ranking,
+        "left_out": left_out_of(experiment),
+    }
     if answer is not None:
         document |= answer
     part = out / f".{DOCUMENT}"
@@ -200,7 +218,7 @@ def _conclude(
     state: Run,
     experiment: Experiment,
     found: Discovery,
-    documents: list,
+    done: _Done,
     console: Console,
 ) -> dict[str, object]:
     """Write the last model as a run, the first diagnosis beside it; the JSON of the command.
@@ -213,7 +231,7 @@ def _conclude(
         kept = [s for s in found.steps if set(s.added) <= {"marker_outliers"}][-1]
         missing = unexplained(experiment, kept.belief, kept.spacing, seed=state.seed, report=console.say)
     answer = {
-        "steps": documents,
+        "steps": done.documents,
         "verdict": found.verdict,
         "effects": list(found.effects),
         "run": str(out),
@@ -224,8 +242,11 @@ def _conclude(
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
     run_at(state, out, found.steps[-1], experiment, options=given, answer=answer).save()
     keep_missing_force(missing, out)
-    if found.rankings:
-        document = diagnosis_document(found, found.rankings[0], experiment, missing)
+    entries = done.ranking
+    if entries is None and found.rankings:
+        entries = ranking_entries(found.steps, found.rankings[0], experiment)
+    if entries is not None:
+        document = diagnosis_document(found, entries, missing)
         (out / DIAGNOSIS).write_text(json.dumps(plain(document), indent=1) + "\n")
     return answer
 

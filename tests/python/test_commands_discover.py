@@ -119,9 +119,11 @@ def test_diagnose_leaves_a_complete_model_alone(elastic: Path, tmp_path: Path) -
     assert [e["effect"] for e in found["ranking"]]
 
 
+@pytest.mark.parametrize("kept", [False, True])
 def test_discover_runs_the_loop_and_resumes(
-    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kept: bool, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """kept: whether it is stopped right after the step with the effect was kept, or right before."""
     options = ("--out", tmp_path / "loop", "--spacing", SPACING, "--effects", CANDIDATES)
     whole = discover.step_document
 
@@ -130,11 +132,15 @@ def test_discover_runs_the_loop_and_resumes(
             raise KeyboardInterrupt
         return whole(step, *arguments)
 
-    monkeypatch.setattr(discover, "step_document", broken_off)
+    def silent(_steps: object) -> list[str]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(discover, *(("steps_text", silent) if kept else ("step_document", broken_off)))
     code, out, err = call(discover.main, capture, *options)
     assert (code, out) == (130, "")
     assert "--resume" in err.splitlines()[-1]
     monkeypatch.undo()
+    assert len(json.loads((tmp_path / "loop" / "steps.json").read_text())["steps"]) == 1 + kept
     found = answer(discover.main, capture, *options, "--resume")
     again = answer(discover.main, capture, "--out", tmp_path / "again", *options[2:])
     assert [s["effects"] for s in found["steps"]] == [[], ["viscosity"]]
@@ -144,7 +150,9 @@ def test_discover_runs_the_loop_and_resumes(
     assert done == found
     run = load_run(found["run"])
     assert run.complete and run.belief.effects == ("viscosity",)
-    assert json.loads((tmp_path / "loop" / "diagnosis.json").read_text())["effects"] == ["viscosity"]
+    diagnoses = [json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("loop", "again")]
+    assert diagnoses[0]["effects"] == ["viscosity"]
+    assert diagnoses[0] == diagnoses[1]
 
 
 def test_discover_refuses_in_one_line(capture: Path, tmp_path: Path) -> None:

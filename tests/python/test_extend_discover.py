@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from extend_example import (
     evaluation_of,
     excess_of,
     plain_belief,
+    refit_of,
     solution_of,
     step_of,
 )
+from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend import discover, settle, window
-from mphygs.extend.discover import promising
+from mphygs.extend.discover import promising, refits_of
 from mphygs.extend.grids import onward
 from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
@@ -403,6 +406,62 @@ def test_rivals_are_compared_on_the_grid_of_the_best(monkeypatch: pytest.MonkeyP
     far = replace(best, assessment=excess_of(3.0))
     found = kept(monkeypatch, far, replace(rival, assessment=excess_of(3.1)), moved=moved, grid=fine)
     assert (found.added, found.ties) == (("viscosity",), ())
+
+
+# ---- which refits are finished ----------------------------------------------------------------
+@pytest.mark.parametrize("pays", [True, False])
+def test_only_what_pays_sets_a_bound_for_others(pays: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = 100
+    chi_squares = {"base_motion": 400.0, "relaxation": 700.0}
+    bounds: dict[str, float] = {}
+
+    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+        return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect], rows))
+
+    def finish_refit(
+        _e: object, _b: object, _c: object, entry: Entry, begun: Solution, *_: object, **options: object
+    ) -> object:
+        bounds[entry.effect] = options["hopeless"]
+        gain = GainInterval(1.0, 0.5, 1.5, 10) if pays else None
+        refit = refit_of(gain=gain, chi_square=chi_squares[entry.effect], drop=1e4 if pays else 1.0)
+        assert refit.pays is pays
+        return refit
+
+    monkeypatch.setattr(discover, "start_refit", start_refit)
+    monkeypatch.setattr(discover, "finish_refit", finish_refit)
+    entries = [entry_of(name, 1e4) for name in chi_squares]
+    current = step_of(assessment_of(5.0))
+    window = (1.0, solution_of(plain_belief(), evaluation_of(1e4, rows)))
+    refits_of(None, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
+    assert bounds["relaxation"] == (pytest.approx(discover.ALIKE * 400.0) if pays else np.inf)
+
+
+# ---- a loop that was stopped ------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("added", "asked"), [([()], 1), ([(), ("marker_outliers",)], 1), ([(), ("viscosity",)], 0)]
+)
+def test_a_step_that_was_kept_is_not_asked_again_for_its_grid(
+    added: list[tuple[str, ...]], asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    went = []
+
+    def refined(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
+        went.append(steps[-1])
+        return steps[-1]
+
+    done = assessment_of(1.0, adequate=True)
+    steps = [replace(step_of(done, added=names), warnings=(f"of {names}",)) for names in added]
+    monkeypatch.setattr(discover, "refined", refined)
+    monkeypatch.setattr(discover, "polished", lambda _e, step, _r: step)
+    monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
+    monkeypatch.setattr(discover, "readmitted", lambda _e, step, _r: step)
+    monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)
+    monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
+    experiment = SimpleNamespace(capture=None)
+    found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
+    assert len(went) == asked
+    assert found.steps == tuple(steps)
+    assert found.warnings == tuple(f"of {names}" for names in added)
 
 
 # ---- what is concluded ------------------------------------------------------------------------

@@ -154,22 +154,34 @@ def told(
     screening: bool,
     tied: bool = False,
     after: Step | None = None,
+    shares: tuple[float, float] | None = None,
 ) -> list:
-    """What `refined` does with a step: ("grid", spacing) and "budget"; after: the step on the finer grid."""
+    """What `refined` does with a step: ("grid", spacing), "rough" budget and "budget".
+
+    after: the step on the finer grid; shares: discretisation and physics in the rough budget [m].
+    """
     done: list = []
 
     def on_grid(_experiment: object, _step: Step, spacing: float, _report: object) -> Step | None:
         done.append(("grid", spacing))
         return after
 
-    def with_budget(_experiment: object, one: Step, _report: object) -> Step:
-        done.append("budget")
-        return one
+    def with_budget(
+        _experiment: object, one: Step, _report: object = None, *, beside: float | None = None
+    ) -> Step:
+        assert beside in (None, 1.7 * default())
+        done.append("budget" if beside is None else "rough")
+        if beside is None or shares is None:
+            return one
+        budget = dict(zip(("discretisation", "physics"), shares, strict=True))
+        return replace(one, assessment=replace(one.assessment, budget=budget))
 
+    monkeypatch.setattr(grids, "known_budget", lambda one: bool(one.assessment.budget))
     monkeypatch.setattr(grids, "on_grid", on_grid)
     monkeypatch.setattr(grids, "with_budget", with_budget)
     found = grids.refined(scene()[0], [step], None, screening=screening, tied=tied)
-    assert found is (after if ("grid", default()) in done and after is not None else step)
+    expected = after if ("grid", default()) in done and after is not None else step
+    assert found.belief is expected.belief and found.spacing == expected.spacing
     return done
 
 
@@ -177,7 +189,7 @@ def test_only_a_grid_for_screening_is_changed(monkeypatch: pytest.MonkeyPatch) -
     coarse, fine = steps_told()
     near = step_of(assessment_of(2.0), spacing=coarse)
     moved = step_of(assessment_of(1.5), spacing=fine)
-    assert told(monkeypatch, near, screening=True, after=moved) == [("grid", fine), "budget"]
+    assert told(monkeypatch, near, screening=True, after=moved) == [("grid", fine), "rough", "budget"]
     # A spacing that was asked for stays; its budget is told there.
     assert told(monkeypatch, near, screening=False) == ["budget"]
     # Explained on the finer grid: nothing is left to be shared out.
@@ -185,6 +197,16 @@ def test_only_a_grid_for_screening_is_changed(monkeypatch: pytest.MonkeyPatch) -
     assert told(monkeypatch, near, screening=True, after=done) == [("grid", fine)]
     # Where the finer grid cannot carry it, the coarse one's error is no budget for the default grid.
     assert told(monkeypatch, near, screening=True, after=None) == [("grid", fine)]
+
+
+def test_what_is_far_more_than_the_grids_share_is_asked_no_finer_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, fine = steps_told()
+    step = step_of(assessment_of(4.0), spacing=fine)
+    most = grids.BEYOND
+    assert told(monkeypatch, step, screening=True, shares=(1e-4, 1.1e-4 * most)) == ["rough"]
+    assert told(monkeypatch, step, screening=True, shares=(1e-4, 0.9e-4 * most)) == ["rough", "budget"]
+    # A spacing that was asked for has no screening grid.
+    assert told(monkeypatch, step, screening=False, shares=(1e-4, 1.1e-4 * most)) == ["budget"]
 
 
 def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,6 +244,46 @@ def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(
     # On that grid already: nothing is computed.
     there = replace(here, spacing=coarse)
     assert probe(monkeypatch, there, alike) is there
+
+
+class Recordings:
+    """An experiment of two recordings, that knows only which."""
+
+    def only(self, names: tuple[str, ...]) -> Recordings:
+        inner = Recordings()
+        inner.names = names
+        return inner
+
+    def starting(self, belief: Belief) -> Belief:
+        return belief.with_parameter(FREE[0], value=1e3)
+
+
+def test_causes_of_the_others_misfit_are_looked_for_from_what_explains_the_simplest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    coarse, fine = steps_told()
+    # s0 is explained, s1 is not: fitted to both, the model would explain neither.
+    here = step_of(assessment_of(1.05, 20.0), added=("viscosity",), spacing=fine)
+    alone = step_of(assessment_of(1.02), added=("viscosity",), spacing=coarse)
+    whole = step_of(assessment_of(1.03, 22.0), added=("viscosity",), spacing=coarse)
+    went: list[object] = []
+
+    def on_grid(inner: Recordings, step: Step, spacing: float, _report: object, *, tangents: bool) -> Step:
+        assert not tangents
+        went.append((inner.names, step.belief[FREE[0]].value, spacing))
+        return alone
+
+    def among_all(_experiment: object, first: Belief, step: Step) -> Step:
+        went.append((first, step))
+        return whole
+
+    monkeypatch.setattr(grids, "on_grid", on_grid)
+    monkeypatch.setattr(grids, "among_all", among_all)
+    assert grids.probed(Recordings(), here, coarse, simple=("s0",)) is whole
+    assert went == [(("s0",), 1e3, coarse), (here.belief, alone)]
+    # The simplest are not explained on that grid: nothing is seen from there.
+    whole = replace(whole, assessment=assessment_of(1.2, 22.0))
+    assert grids.probed(Recordings(), here, coarse, simple=("s0",)) is here
 
 
 def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None:

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.extend.grids import known_budget, with_budget
-from mphygs.extend.steps import step_at, uncertainty
+from mphygs.command import plain
+from mphygs.extend.finer import finer
+from mphygs.extend.grids import with_budget
+from mphygs.extend.step import Step, known_budget
+from mphygs.extend.steps import restored, state_of, step_at, step_document, uncertainty
+from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance, minimise
 from mphygs.simulate.prediction import Settings
 
-COARSE, FINE = 0.01, 0.005
+COARSE, FINER, FINE = 0.01, 0.008, 0.005
 KEY = "part0.youngs_modulus"
 
 
@@ -34,3 +41,61 @@ def test_a_coarse_grid_is_not_sure_of_the_stiffness() -> None:
     noise_std, std = (float(np.sqrt(c[0, 0])) for c in (noise, uncertainty(known)))
     assert off > 5.0 * noise_std
     assert 0.4 * off < std < 2.5 * off
+
+
+def again(experiment: Experiment, step: Step, before: tuple[str, ...] = ()) -> Step:
+    """The step from what a loop writes of it."""
+    document = step_document(step, experiment, before)
+    kept, told = (json.loads(json.dumps(plain(part))) for part in (state_of(step), document))
+    return restored(experiment, kept, told, before)
+
+
+def same(step: Step, other: Step) -> None:
+    """Every number of a step, to the bit."""
+    assert document_of_belief(other.belief) == document_of_belief(step.belief)
+    assert np.array_equal(other.solution.evaluation.residual, step.solution.evaluation.residual)
+    assert np.array_equal(other.solution.evaluation.jacobian, step.solution.evaluation.jacobian)
+    for name, item in step.compared.items():
+        found = other.compared[name]
+        assert np.array_equal(found.predicted, item.predicted)
+        assert np.array_equal(found.jacobian, item.jacobian)
+        assert (found.refinement is None) == (item.refinement is None)
+        assert item.refinement is None or np.array_equal(found.refinement, item.refinement)
+    assert other.assessment.ratio == step.assessment.ratio
+    assert other.assessment.budget == step.assessment.budget
+    assert other.explained == step.explained
+    for key in ("spacing", "lender", "added", "ties", "since", "dropped", "reconciled", "warnings"):
+        assert getattr(other, key) == getattr(step, key)
+
+
+def bar() -> tuple[Experiment, Step]:
+    capture = bar_capture(frames=16, fps=100.0, fit=(0, 12))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=(KEY,))
+    experiment = Experiment.of(recorded(capture, truth, FINER), Settings(COARSE, workers=1))
+    step = step_at(experiment, truth.with_parameter(KEY, value=6.1e4), COARSE)
+    assert np.abs(step.solution.evaluation.jacobian).max() > 0.0
+    return experiment, step
+
+
+def test_a_step_is_restored_as_it_was() -> None:
+    experiment, plain_step = bar()
+    same(plain_step, again(experiment, plain_step))
+    full = replace(
+        plain_step, added=("viscosity",), ties=("wind",), since=0.25, reconciled=True, dropped=("gravity",),
+        warnings=("something",),
+    )  # fmt: skip
+    same(full, again(experiment, full, ("gravity",)))
+
+
+def test_a_step_is_restored_with_the_grids_share() -> None:
+    experiment, step = bar()
+    known = with_budget(experiment, step)
+    assert known.assessment.budget["discretisation"] > 0.0 == step.assessment.budget["discretisation"]
+    same(known, again(experiment, known))
+
+
+def test_a_step_is_restored_with_the_tangents_that_it_borrowed() -> None:
+    experiment, step = bar()
+    lent = finer(experiment, replace(step, added=("viscosity",)))
+    assert lent.lender == COARSE != lent.spacing
+    same(lent, again(experiment, lent))

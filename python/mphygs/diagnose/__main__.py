@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -98,7 +98,8 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
     keep_missing_force(missing, state.folder)
     motions = motions_to_record(found, experiment, trying, report=console.say)
-    document = diagnosis_document(found, ranking, experiment, missing, motions)
+    entries = ranking_entries(found.steps, ranking, experiment)
+    document = diagnosis_document(found, entries, missing, motions)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
     lines = diagnosis_text(plain(document))
     if missing is not None:
@@ -128,27 +129,33 @@ def _ranking(
     )
 
 
-def diagnosis_document(
-    found: Discovery,
-    ranking: Ranking,
-    experiment: Experiment,
-    missing: Unexplained | None = None,
-    motions: Sequence[Proposed] = (),
-) -> dict[str, object]:
-    """The JSON of a diagnosis. motions: that would tell the first effect from its rival."""
+def ranking_entries(
+    steps: Sequence[Step], ranking: Ranking, experiment: Experiment
+) -> list[dict[str, object]]:
+    """A ranking's candidates as JSON, those first that were refitted for the first of the steps."""
     sigma = float(np.sqrt(np.mean([o.sigma**2 for o in experiment.observations.values()])))
-    first = next((step for step in found.steps if step.refits), None)
+    first = next((step for step in steps if step.refits), None)
     refitted, ties = {}, {}
     if first is not None:
         best = first.added[0]
         order = sorted(first.refits, key=lambda r: (r.entry.effect != best, excess(r.assessment)))
         refitted = {r.entry.effect: float(r.actual_drop) for r in order}
         ties = {best: first.ties}
-    entries = ranking_document(ranking, sigma, refitted=refitted, ties=ties)
+    return ranking_document(ranking, sigma, refitted=refitted, ties=ties)
+
+
+def diagnosis_document(
+    found: Discovery,
+    entries: Sequence[Mapping[str, object]],
+    missing: Unexplained | None = None,
+    motions: Sequence[Proposed] = (),
+) -> dict[str, object]:
+    """The JSON of a diagnosis. entries: see `ranking_entries`; motions: that would tell the first effect from
+    its rival."""
     return {
         "verdict": found.verdict,
         "effects": list(found.effects),
-        "ranking": entries,
+        "ranking": list(entries),
         "missing_force": None if missing is None else missing.document(),
         "advice": advice(found.verdict, found.effects, entries, found.warnings, motions=motions),
     }

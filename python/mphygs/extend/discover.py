@@ -11,14 +11,14 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
-from mphygs.extend.grids import known_budget, onward, polished, probed, refined, with_budget
+from mphygs.extend.grids import onward, polished, probed, refined, with_budget
 from mphygs.extend.prune import anew, pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.settle import ALIKE, choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
-from mphygs.extend.step import EXPLAINED, Step
+from mphygs.extend.step import EXPLAINED, Step, known_budget
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -174,7 +174,8 @@ def refits_of(
         # What the coarse grid has of its own may put the true effect a little behind.
         if chi_square > (3.0 if number < FINISHED else NEARLY) * begun[0][0]:
             break
-        best = min((r.solution.evaluation.chi_square for r in finished), default=np.inf)
+        # What does not pay may have bought the fitted frames: it sets no bound.
+        best = min((r.solution.evaluation.chi_square for r in finished if r.pays), default=np.inf)
         result = finish_refit(
             experiment,
             current.solution,
@@ -206,75 +207,88 @@ def discover(
     start: Sequence[Step] = (),
     screening: bool = False,
     report: Callable[[str], None] | None = None,
-    on_step: Callable[[Step], None] | None = None,
+    on_step: Callable[[Step, Sequence[Ranking]], None] | None = None,
 ) -> Discovery:
     """Find what is missing from a model of a capture.
 
     belief: the model to start from, not yet fitted; names: effects that may be added (None: all);
     start: steps that are done already, the first model's fit the first of them; screening: the spacing is
-    only for trying many models, and models near the floor are asked again on the default grid.
+    only for trying many models, and models near the floor are asked again on the default grid; on_step: told
+    every new step, and the rankings so far, as soon as it is done.
     Raises SimulationError when not even the first model can be simulated.
     """
     say, coarse = report or (lambda _text: None), spacing
     steps = list(start) or [first_fit(experiment, belief, spacing, report=report)]
     rankings: list[Ranking] = []
-    warnings: list[str] = []
+    warnings: list[str] = []  # of the round that goes on
+
+    def done(step: Step) -> None:
+        steps.append(replace(step, warnings=(*warnings, *step.warnings)))
+        warnings.clear()
+        if on_step:
+            on_step(steps[-1], rankings)
+
     if on_step and not start:
-        on_step(steps[0])
+        on_step(steps[0], rankings)
 
     def without_bad_tracks() -> None:
         """One more step where tracks are bad; looked for anew as long as none was found."""
         current = steps[-1]
-        allowed = names is None or "marker_outliers" in names
-        known = any("marker_outliers" in step.added for step in steps)
+        allowed = names is None or FAULT in names
+        known = any(FAULT in step.added for step in steps)
         if known or not allowed or current.assessment.adequate:
             return
         left_out = mask_outliers(experiment, current.compared)
         if not left_out:
             return
-        say(f"{left_out} measurements do not move with their neighbours: left out as marker_outliers")
+        say(f"{left_out} measurements do not move with their neighbours: left out as {FAULT}")
         experiment.problems.clear()
         after = first_fit(experiment, current.belief, current.spacing, report=report, warm=True)
-        steps.append(replace(after, added=("marker_outliers",)))
-        if on_step:
-            on_step(steps[-1])
+        done(replace(after, added=(FAULT,)))
 
     def judged(step: Step) -> Step:
         """The step, asked for all frames where only unseen ones are off, on the grid that decides."""
         if screening and step.spacing > FINE * default_spacing(experiment.capture):
             return step
         after = reconciled(experiment, step, report)
-        if after.reconciled:
-            warnings.append(
-                f"{' + '.join(after.added) or 'first model'}: fitted to all frames it explains them; what "
-                "it misses of unseen frames is what the fitted ones leave open"
-            )
-        return after
+        if not after.reconciled:
+            return after
+        text = (
+            f"{' + '.join(after.added) or 'first model'}: fitted to all frames it explains them; what "
+            "it misses of unseen frames is what the fitted ones leave open"
+        )
+        return replace(after, warnings=(*after.warnings, text))
 
     without_bad_tracks()
-    steps[-1] = judged(refined(experiment, steps, report, screening=screening))
+    # What was found before a loop was stopped was asked all this then.
+    fresh = all(set(step.added) <= {FAULT} for step in steps)
+    if fresh:
+        steps[-1] = judged(refined(experiment, steps, report, screening=screening))
     simple = without_loads(experiment)
-    if simple and len(steps) == 1 and not steps[0].explained:
+    if simple and fresh and not steps[-1].explained:
         say(f"first {', '.join(simple)}: no load pulls there")
         inner = experiment.only(simple)
         alone = discover(
             inner, belief, spacing, seed=seed, names=names, screening=screening, report=report
         )
         experiment.problems.clear()  # bad tracks may have been left out
+        rankings.extend(alone.rankings)
+        warnings.extend(alone.warnings)
+        among = []
         for step in alone.steps[1:]:
             try:
-                steps.append(among_all(experiment, steps[0].belief, step))
+                among.append(among_all(experiment, steps[0].belief, step))
             except SimulationError as error:
                 say(f"{', '.join(step.added)}, for all recordings: {error}")
                 break
-            if on_step:
-                on_step(steps[-1])
-        rankings.extend(alone.rankings)
-        warnings.extend(alone.warnings)
+        for step in among:  # told only now: a loop that is stopped has all of them or none
+            done(step)
     while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         if names is not None and set(names) <= set(steps[-1].belief.effects):
             break
-        current = probed(experiment, steps[-1], coarse, report) if screening else steps[-1]
+        current = steps[-1]
+        if screening:
+            current = probed(experiment, current, coarse, report, simple=simple)
         spacing = current.spacing
         experiment.whole = simple if simple and explains(current, simple) else ()
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
@@ -318,9 +332,7 @@ def discover(
         if not best.pays and not step.explained:
             say(f"{best.entry.effect}: does not pay on unseen frames")
             break
-        steps.append(step)
-        if on_step:
-            on_step(steps[-1])
+        done(step)
         without_bad_tracks()
     experiment.whole = ()
     if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
@@ -348,4 +360,5 @@ def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -
         verdict = "adequate"
     else:
         verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
-    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), tuple(warnings))
+    told = [text for step in steps for text in step.warnings]
+    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from mphygs.compare.assess import Compared
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import borrowed
+from mphygs.fit.levenberg_marquardt import borrowed, told
+from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
 # A grid so many times as fine costs three times as much; its tangents are never asked for.
@@ -33,11 +35,6 @@ def lent(
     """The step fitted on one grid by the Jacobians of a coarser one, of spacing `lender` [m]."""
     say = report or (lambda _text: None)
     say(f"refitting on a grid of {1e3 * spacing:.3g} mm, with the derivatives of {1e3 * lender:.3g} mm")
-
-    def tell(iteration: int, evaluation: object, _belief: object) -> None:
-        rms = (evaluation.chi_square / max(evaluation.data_rows, 1)) ** 0.5
-        say(f"{1e3 * spacing:.3g} mm: iteration {iteration}, {rms:.3f} sigma")
-
     try:
         for name in experiment.fitted:
             experiment.predictor(name, lender)
@@ -47,16 +44,27 @@ def lent(
             step.belief,
             iterations=ITERATIONS,
             relative_tolerance=ACCURACY,
-            report=tell,
+            report=told(report, f"{1e3 * spacing:.3g} mm"),
         )
-        here = experiment.compare(solution.belief, spacing, jacobian=False)
-        there = experiment.compare(solution.belief, lender)
+        compared = compared_by(experiment, solution.belief, spacing, lender)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
+    assessment = experiment.assess(compared)
+    say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    return step.refitted(solution, compared, assessment, spacing=spacing, lender=lender)
+
+
+def compared_by(
+    experiment: Experiment, belief: Belief, spacing: float, lender: float
+) -> dict[str, Compared]:
+    """A belief compared on one grid, with the tangents of a coarser one of spacing `lender` [m] and the
+    discretisation's share that the change between the two shows."""
+    here = experiment.compare(belief, spacing, jacobian=False)
+    there = experiment.compare(belief, lender)
     # Richardson: the error of the finer grid is the change over r^2 - 1, r the ratio of the spacings.
     whole = (lender / spacing) ** 2 - 1.0
-    compared = {
+    return {
         name: replace(
             item,
             jacobian=there[name].jacobian,
@@ -64,14 +72,3 @@ def lent(
         )
         for name, item in here.items()
     }
-    assessment = experiment.assess(compared)
-    say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return replace(
-        step,
-        belief=solution.belief,
-        solution=solution,
-        compared=compared,
-        assessment=assessment,
-        spacing=spacing,
-        lender=lender,
-    )

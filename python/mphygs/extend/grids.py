@@ -9,10 +9,11 @@ from dataclasses import replace
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.finer import finer
-from mphygs.extend.step import Step, excess
+from mphygs.extend.simplest import among_all, explains
+from mphygs.extend.step import Step, excess, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.fit.levenberg_marquardt import minimise, told
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import default_spacing, find_scale, screening_spacing, simulable
 from mphygs.model.belief import Belief
@@ -30,6 +31,8 @@ BEFORE = 0.85
 LENDS = 1.3
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
+# What is left is not the grid's where it is so many times what a coarser grid shows of that.
+BEYOND = 3.0
 # Share of the cost that the last step of what is concluded may promise.
 LAST_DIGITS = 1e-5
 
@@ -97,18 +100,14 @@ def on_grid(
     try:
         problem = experiment.problem(spacing)
         belief = simulable(problem, step.belief)
-
-        def tell(iteration: int, evaluation: object, _belief: object) -> None:
-            rms = (evaluation.chi_square / max(evaluation.data_rows, 1)) ** 0.5
-            say(f"{1e3 * spacing:.3g} mm: iteration {iteration}, {rms:.3f} sigma")
-
+        tell = told(report, f"{1e3 * spacing:.3g} mm")
         if step.since < 1.0 and sets_in(step):
             belief = followed(experiment, belief, step.since, spacing, tell)
         lender = lender_of(experiment, spacing)
         solution = minimise(
             problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
         )
-        misfit = (solution.evaluation.chi_square / max(solution.evaluation.data_rows, 1)) ** 0.5
+        misfit = solution.evaluation.misfit
         if misfit > hopeless:
             say(f"{', '.join(step.added)}: given up, others leave less")
             return None
@@ -124,15 +123,7 @@ def on_grid(
         return None
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return replace(
-        step,
-        belief=solution.belief,
-        solution=solution,
-        compared=compared,
-        assessment=assessment,
-        spacing=spacing,
-        lender=None,
-    )
+    return step.refitted(solution, compared, assessment, spacing=spacing, lender=None)
 
 
 def followed(
@@ -189,9 +180,7 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
     # Where a refinement excused a part of the misfit, it is asked again.
     compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
     assessment = experiment.assess(compared)
-    after = replace(
-        step, belief=solution.belief, solution=solution, compared=compared, assessment=assessment
-    )
+    after = step.refitted(solution, compared, assessment)
     say(f"last digits: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     return after if after.explained else step
 
@@ -202,11 +191,6 @@ def complete(experiment: Experiment, step: Step) -> Step:
         return step
     compared = experiment.compare(step.belief, step.spacing, refine=known_budget(step))
     return replace(step, compared=compared, assessment=experiment.assess(compared))
-
-
-def known_budget(step: Step) -> bool:
-    """Whether a refinement of the step's model has been run."""
-    return any(item.refinement is not None for item in step.compared.values())
 
 
 def with_budget(
@@ -227,10 +211,16 @@ def with_budget(
     except SimulationError:
         return step if coarse is None else with_budget(experiment, step, report)
     assessment = experiment.assess(compared)
+    known = replace(step, compared=compared, assessment=assessment)
+    told_budget(known, report)
+    return known
+
+
+def told_budget(step: Step, report: Callable[[str], None] | None) -> None:
+    """Say a step's error budget."""
     if report:
-        shares = ", ".join(f"{name} {1e3 * share:.3f}" for name, share in assessment.budget.items())
+        shares = ", ".join(f"{name} {1e3 * share:.3f}" for name, share in step.assessment.budget.items())
         report(f"shares of the misfit [mm]: {shares}")
-    return replace(step, compared=compared, assessment=assessment)
 
 
 def refined(
@@ -257,6 +247,13 @@ def refined(
     fine = not screening or current.spacing < 1.1 * default_spacing(experiment.capture)
     if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
         return current
+    if screening:
+        # What a coarser grid shows of it, at a tenth of the work, may say that it is far too little.
+        rough = with_budget(experiment, current, beside=screening_spacing(experiment.capture))
+        budget = rough.assessment.budget
+        if known_budget(rough) and budget["physics"] > BEYOND * budget["discretisation"]:
+            told_budget(rough, report)
+            return rough
     small = excess(current.assessment) < EXPLAINED_ON_COARSE * excess(steps[0].assessment)
     if screening and current.added and small and not sets_in(current):
         after = finer(experiment, current, report)
@@ -266,12 +263,28 @@ def refined(
 
 
 def probed(
-    experiment: Experiment, step: Step, spacing: float, report: Callable[[str], None] | None = None
+    experiment: Experiment,
+    step: Step,
+    spacing: float,
+    report: Callable[[str], None] | None = None,
+    *,
+    simple: Sequence[str] = (),
 ) -> Step:
     """The step to look for its misfit's cause in: on a coarser grid where that shows the same misfit, at a
-    fraction of the work, else as it is. spacing: of the coarser grid [m]."""
+    fraction of the work, else as it is.
+
+    spacing: of the coarser grid [m]; simple: sequences that a model of all is first to explain. A step that
+    explains them is refitted to them alone: what the others have besides is to be seen from there, and a fit
+    to all buys it with absurd materials.
+    """
     if step.spacing > 0.9 * spacing:
         return step
+    if simple and explains(step, simple):
+        inner = experiment.only(simple)
+        alone = replace(step, belief=inner.starting(step.belief))
+        alone = on_grid(inner, alone, spacing, report, tangents=False)
+        coarse = alone and among_all(experiment, step.belief, alone)
+        return coarse if coarse and explains(coarse, simple) else step
     coarse = on_grid(experiment, step, spacing, report)
     if coarse is None or coarse.assessment.worst > SAME_MISFIT * step.assessment.worst:
         return step

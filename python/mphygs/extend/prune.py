@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
-from mphygs.extend.grids import known_budget
-from mphygs.extend.step import Step, does_alike
+from mphygs.extend.step import Step, does_alike, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -40,14 +38,7 @@ def pruned(
         except SimulationError:
             continue
         assessment = experiment.assess(compared)
-        without = replace(
-            step,
-            belief=solution.belief,
-            solution=solution,
-            compared=compared,
-            assessment=assessment,
-            dropped=(*step.dropped, name),
-        )
+        without = step.refitted(solution, compared, assessment, dropped=(*step.dropped, name))
         say(f"without {name}: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
         if does_alike(without, step) and without.explained >= step.explained:
             step = anew(experiment, without, report)
@@ -75,6 +66,6 @@ def anew(experiment: Experiment, step: Step, report: Callable[[str], None] | Non
     except SimulationError:
         return step
     assessment = experiment.assess(compared)
-    after = replace(step, belief=belief, solution=solution, compared=compared, assessment=assessment)
+    after = step.refitted(solution, compared, assessment)
     # A closer fit that predicts worse is none.
     return after if after.explained >= step.explained else step

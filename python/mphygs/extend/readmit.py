@@ -14,8 +14,7 @@ import numpy as np
 from mphygs.compare.noise import observe
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.extend.finer import lent
-from mphygs.extend.grids import known_budget
-from mphygs.extend.step import Step
+from mphygs.extend.step import Step, known_budget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.simulate.errors import SimulationError
@@ -71,5 +70,4 @@ def _refitted(experiment: Experiment, step: Step, report: Callable[[str], None] 
         compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
     except SimulationError:
         return None
-    assessment = experiment.assess(compared)
-    return replace(step, belief=solution.belief, solution=solution, compared=compared, assessment=assessment)
+    return step.refitted(solution, compared, experiment.assess(compared))

@@ -13,7 +13,7 @@ from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.rank import Entry
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.levenberg_marquardt import Solution, minimise, told
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.scope import in_scope
@@ -157,8 +157,7 @@ def start_refit(
     except SimulationError:
         return None
     if report:
-        rms = np.sqrt(solution.evaluation.chi_square / max(solution.evaluation.data_rows, 1))
-        report(f"with {entry.label}: {rms:.3f} sigma after {done} iterations")
+        report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
     return solution
 
 
@@ -182,12 +181,7 @@ def finish_refit(
     three iterations. None where it is, or where its motion cannot be simulated.
     """
     problem = experiment.problem(spacing)
-
-    def tell(iteration: int, evaluation: object, _belief: Belief) -> None:
-        if report:
-            rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
-            report(f"with {entry.effect}: iteration {iteration}, {rms:.3f} sigma")
-
+    tell = told(report, f"with {entry.effect}")
     try:
         belief = release_friction(begun.belief)
         solution = minimise(problem, belief, iterations=3, relative_tolerance=accuracy, report=tell)

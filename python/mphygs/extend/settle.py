@@ -53,8 +53,7 @@ def _beside(
     experiment: Experiment, rival: Step, best: Step, report: Callable[[str], None] | None
 ) -> Step | None:
     """A rival on the grid of the best step, None where it is hopeless or cannot be simulated there."""
-    reached = best.solution.evaluation
-    hopeless = (ALIKE * reached.chi_square / max(reached.data_rows, 1)) ** 0.5
+    hopeless = ALIKE**0.5 * best.solution.evaluation.misfit
     if best.lender is None:
         return on_grid(experiment, rival, best.spacing, report, hopeless=hopeless, tangents=False)
     moved = on_grid(experiment, rival, best.lender, report, tangents=False)

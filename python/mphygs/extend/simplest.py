@@ -44,4 +44,7 @@ def among_all(experiment: Experiment, first: Belief, step: Step) -> Step:
     own = {parameter.key for parameter in first.parameters}
     parameters += [parameter for key, parameter in found.items() if key not in own]
     belief = replace(step.belief, parameters=tuple(parameters))
-    return step_at(experiment, belief, step.spacing, added=step.added, ties=step.ties)
+    whole = step_at(
+        experiment, belief, step.spacing, added=step.added, ties=step.ties, lender=step.lender
+    )
+    return replace(whole, since=step.since, refits=step.refits)

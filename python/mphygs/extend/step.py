@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class Step:
     cannot tell from them; since: share of the fitted frames, from the first on, that they were found on;
     dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
     fitted to all frames, explains them all; lender: spacing of the coarser grid that its Jacobians are
-    of [m], None where they are its own."""
+    of [m], None where they are its own; warnings: what was said on the way to it."""
 
     belief: Belief
     solution: Solution
@@ -38,12 +38,31 @@ class Step:
     dropped: tuple[str, ...] = ()
     reconciled: bool = False
     lender: float | None = None
+    warnings: tuple[str, ...] = ()
+
+    def refitted(
+        self, solution: Solution, compared: dict[str, Compared], assessment: Assessment, **changes: object
+    ) -> Step:
+        """The step with its model fitted anew. changes: to its other fields."""
+        return replace(
+            self,
+            belief=solution.belief,
+            solution=solution,
+            compared=compared,
+            assessment=assessment,
+            **changes,
+        )
 
     @property
     def explained(self) -> bool:
         """Whether the error is at its floor; without any effect added, whether the model needs none."""
         near = bool(self.added) and self.assessment.worst <= EXPLAINED
         return self.assessment.adequate or near or self.reconciled
+
+
+def known_budget(step: Step) -> bool:
+    """Whether a refinement of the step's model has been run."""
+    return any(item.refinement is not None for item in step.compared.values())
 
 
 def excess(assessment: Assessment, label: str | None = None) -> float:

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.compare.assess import grid_shift
-from mphygs.extend.step import Step
+from mphygs.extend.finer import compared_by
+from mphygs.extend.step import Step, known_budget
+from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, covariance
+from mphygs.fit.levenberg_marquardt import Solution, covariance, with_jacobian_of
 from mphygs.fit.of_run import errors_of
 from mphygs.fit.run import Run
 from mphygs.fit.tables import parameters_document
@@ -26,13 +28,61 @@ def step_at(
     *,
     added: Sequence[str] = (),
     ties: Sequence[str] = (),
+    lender: float | None = None,
+    refined: bool = False,
 ) -> Step:
-    """The step that ended at a belief."""
-    evaluation = experiment.problem(spacing).evaluate(belief)
+    """The step that ended at a belief. lender: see `Step`; refined: whether the discretisation's share was
+    asked for (where Jacobians are lent it always is)."""
+    if lender is None:
+        evaluation = experiment.problem(spacing).evaluate(belief)
+        compared = experiment.compare(belief, spacing, refine=refined)
+    else:
+        for name in experiment.fitted:
+            experiment.predictor(name, lender)
+        evaluation = with_jacobian_of(experiment.problem(lender), experiment.problem(spacing), belief)
+        compared = compared_by(experiment, belief, spacing, lender)
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
-    compared = experiment.compare(belief, spacing)
+    assessment = experiment.assess(compared)
     return Step(
-        belief, solution, compared, experiment.assess(compared), spacing, tuple(added), tuple(ties)
+        belief, solution, compared, assessment, spacing, tuple(added), tuple(ties), lender=lender
+    )
+
+
+def state_of(step: Step) -> dict[str, object]:
+    """What a loop that is resumed has to know of a step besides its document."""
+    return {
+        "belief": document_of_belief(step.belief),
+        "spacing": step.spacing,
+        "lender": step.lender,
+        "refined": known_budget(step),
+        "since": step.since,
+        "reconciled": step.reconciled,
+        "warnings": list(step.warnings),
+    }
+
+
+def restored(
+    experiment: Experiment,
+    state: Mapping[str, object],
+    document: Mapping[str, object],
+    before: Sequence[str] = (),
+) -> Step:
+    """The step of a state and its document. before: effects of the step before it."""
+    step = step_at(
+        experiment,
+        belief_from_document(state["belief"]),
+        state["spacing"],
+        added=document["added"],
+        ties=document["ties"],
+        lender=state["lender"],
+        refined=state["refined"],
+    )
+    return replace(
+        step,
+        dropped=tuple(name for name in before if name not in document["effects"]),
+        since=state["since"],
+        reconciled=state["reconciled"],
+        warnings=tuple(state["warnings"]),
     )
 
 

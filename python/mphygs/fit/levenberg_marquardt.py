@@ -79,8 +79,7 @@ def _worth(evaluation: Evaluation, tolerance: float, relative: float) -> float:
 
     A model that is far from the data anyway is not worth the last digits of its numbers.
     """
-    misfit = evaluation.chi_square / max(evaluation.data_rows, 1)
-    factor = 100.0 if misfit > 25.0 else 10.0 if misfit > 4.0 else 1.0
+    factor = 100.0 if evaluation.misfit > 5.0 else 10.0 if evaluation.misfit > 2.0 else 1.0
     return tolerance + factor * relative * evaluation.cost
 
 
@@ -150,6 +149,9 @@ class _Borrowing:
             raise ValueError("the lender has other rows; expected the same frames and markers")
         return replace(found, jacobian=lent)
 
+    def minimise(self, belief: Belief, **options: object) -> Solution:
+        return minimise(self, belief, trials=BORROWED_TRIALS, **options)
+
 
 def approached(
     problem: Problem,
@@ -169,13 +171,11 @@ def approached(
     """
     borrowing = _Borrowing(problem, lender)
     try:
-        minimise(
-            borrowing,
+        borrowing.minimise(
             belief,
             iterations=iterations,
             tolerance=tolerance,
             relative_tolerance=relative_tolerance,
-            trials=BORROWED_TRIALS,
             report=report,
         )
     except SimulationError:
@@ -183,6 +183,11 @@ def approached(
             raise
         # The lender cannot carry what the problem can.
     return borrowing.lowest[1]
+
+
+def with_jacobian_of(lender: Problem, problem: Problem, belief: Belief) -> Evaluation:
+    """A problem's evaluation, its Jacobian that of a lender. Raises SimulationError."""
+    return _Borrowing(problem, lender).evaluate(belief)
 
 
 def borrowed(
@@ -199,18 +204,22 @@ def borrowed(
     lender: the same fit on a coarser grid. Raises SimulationError where either cannot be simulated.
     """
     borrowing = _Borrowing(problem, lender)
-    solution = minimise(
-        borrowing,
-        belief,
-        iterations=iterations,
-        relative_tolerance=relative_tolerance,
-        trials=BORROWED_TRIALS,
-        report=report,
+    solution = borrowing.minimise(
+        belief, iterations=iterations, relative_tolerance=relative_tolerance, report=report
     )
     cost, best = borrowing.lowest
     if cost < solution.evaluation.cost:
         solution = replace(solution, belief=best, evaluation=borrowing.evaluate(best))
     return solution
+
+
+def told(report: Callable[[str], None] | None, what: str) -> Callable[[int, Evaluation, Belief], None] | None:
+    """A report of iterations as lines of text; None where nobody listens."""
+    if report is None:
+        return None
+    return lambda iteration, evaluation, _belief: report(
+        f"{what}: iteration {iteration}, {evaluation.misfit:.3f} sigma"
+    )
 
 
 def minimise(

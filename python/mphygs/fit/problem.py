@@ -44,6 +44,11 @@ class Evaluation:
         r = self.residual[: self.data_rows]
         return float(r @ r)
 
+    @property
+    def misfit(self) -> float:
+        """Root mean square of the measured rows [sigma]."""
+        return (self.chi_square / max(self.data_rows, 1)) ** 0.5
+
 
 @dataclass(eq=False)
 class Problem:

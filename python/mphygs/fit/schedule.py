@@ -9,7 +9,7 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
-from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.levenberg_marquardt import Solution, minimise, told
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -138,8 +138,7 @@ def simulable(problem: Problem, belief: Belief) -> Belief:
 
 def _hopeless(solution: Solution) -> bool:
     """Whether a model is so far from the data that its numbers mean nothing."""
-    evaluation = solution.evaluation
-    return evaluation.chi_square > HOPELESS**2 * max(evaluation.data_rows, 1)
+    return solution.evaluation.misfit > HOPELESS
 
 
 def fit_belief(
@@ -176,11 +175,7 @@ def fit_belief(
         if number == 0 and not warm:
             belief = find_scale(problem, belief, report)
 
-        def tell(iteration: int, evaluation, _belief, stage: Stage = stage) -> None:
-            if report:
-                rms = np.sqrt(evaluation.chi_square / max(evaluation.data_rows, 1))
-                report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, {rms:.3f} sigma")
-
+        tell = told(report, f"{stage.name} ({1e3 * stage.spacing:.3g} mm)")
         iterations = stage.iterations
         if solution is not None and len(earlier) > 1 and _hopeless(solution):
             # What it became is of no use on another grid; the model before it is, and will be as wrong.
