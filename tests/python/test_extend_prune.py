@@ -8,6 +8,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, assessment_of, recorded
+from mphygs.extend import prune
 from mphygs.extend.discover import _conclude
 from mphygs.extend.prune import anew, pruned
 from mphygs.extend.step import Step
@@ -57,7 +58,18 @@ def test_what_is_superfluous_goes() -> None:
 
 def test_what_is_needed_stays() -> None:
     experiment, _, last = both(TILT)
-    assert pruned(experiment, last, ["gravity"]) is last
+    said: list[str] = []
+    assert pruned(experiment, last, ["gravity"], said.append) is last
+    # It is far off after the first iterations: the rest of them, and the comparison, are saved.
+    assert said[-1].endswith("given up")
+
+
+def test_what_may_still_do_as_well_is_fitted_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prune, "FAR", 1e9)
+    experiment, _, last = both(TILT)
+    said: list[str] = []
+    assert pruned(experiment, last, ["gravity"], said.append) is last
+    assert said[-1].endswith("in the worst range")
 
 
 def test_materials_begin_anew_where_that_is_better() -> None:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mphygs.extend.step import Step, does_alike, known_budget
+from mphygs.extend.grids import complete, lender_of
+from mphygs.extend.step import CLEARLY_BETTER, NEGLIGIBLE, Step, does_alike, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.fit.problem import Evaluation
 from mphygs.fit.schedule import find_scale
 from mphygs.simulate.errors import SimulationError
 
-ITERATIONS = 8
+# Of a fit without an effect; after the first few one that is far off is given up: whose excess over noise is
+# so many times what would do as well.
+ITERATIONS, FIRST, FAR = 8, 2, 2.0
 # Of the frames, one after the other, on which materials begin anew.
 SHARES = (0.25, 0.5, 1.0)
 
@@ -33,16 +37,33 @@ def pruned(
         try:
             problem = experiment.problem(step.spacing)
             belief = step.belief.without_effect(name)
-            solution = minimise(problem, belief, iterations=ITERATIONS, relative_tolerance=1e-3)
-            compared = experiment.compare(solution.belief, step.spacing)
+            lender = lender_of(experiment, step.spacing)
+            solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender)
+            if _far(solution.evaluation, step.solution.evaluation):
+                say(f"without {name}: {solution.evaluation.misfit:.3f} sigma, given up")
+                continue
+            if not solution.converged:
+                solution = minimise(
+                    problem, solution.belief, iterations=ITERATIONS - FIRST, relative_tolerance=1e-3
+                )
+            compared = experiment.compare(solution.belief, step.spacing, jacobian=False)
         except SimulationError:
             continue
         assessment = experiment.assess(compared)
         without = step.refitted(solution, compared, assessment, dropped=(*step.dropped, name))
         say(f"without {name}: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-        if does_alike(without, step) and without.explained >= step.explained:
+        if not does_alike(without, step):
+            continue
+        without = complete(experiment, without)
+        if without.explained >= step.explained:
             step = anew(experiment, without, report)
     return step
+
+
+def _far(without: Evaluation, step: Evaluation) -> bool:
+    """Whether a fit that is not at its end yet will not do as well as the step's."""
+    enough = max(step.misfit**2 - 1.0, 0.0) / CLEARLY_BETTER + NEGLIGIBLE
+    return without.misfit**2 - 1.0 > FAR * enough
 
 
 def anew(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
