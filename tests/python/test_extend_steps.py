@@ -64,7 +64,7 @@ def same(step: Step, other: Step) -> None:
     assert other.assessment.ratio == step.assessment.ratio
     assert other.assessment.budget == step.assessment.budget
     assert other.explained == step.explained
-    for key in ("spacing", "lender", "added", "ties", "since", "dropped", "reconciled", "warnings"):
+    for key in ("spacing", "lender", "beside", "added", "ties", "since", "dropped", "reconciled", "warnings"):
         assert getattr(other, key) == getattr(step, key)
 
 
@@ -92,6 +92,10 @@ def test_a_step_is_restored_with_the_grids_share() -> None:
     known = with_budget(experiment, step)
     assert known.assessment.budget["discretisation"] > 0.0 == step.assessment.budget["discretisation"]
     same(known, again(experiment, known))
+    # A coarser grid's word is not a finer one's.
+    rough = with_budget(experiment, step, beside=1.5 * COARSE)
+    assert not np.array_equal(rough.compared["a"].refinement, known.compared["a"].refinement)
+    same(rough, again(experiment, rough))
 
 
 def test_a_step_is_restored_with_the_tangents_that_it_borrowed() -> None:

@@ -52,7 +52,7 @@ def lent(
         return None
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return step.refitted(solution, compared, assessment, spacing=spacing, lender=lender)
+    return step.refitted(solution, compared, assessment, spacing=spacing, lender=lender, beside=None)
 
 
 def compared_by(

@@ -10,7 +10,7 @@ from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.finer import finer
 from mphygs.extend.simplest import among_all, explains
-from mphygs.extend.step import Step, excess, known_budget
+from mphygs.extend.step import Step, compared_again, excess, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, told
@@ -123,7 +123,7 @@ def on_grid(
         return None
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return step.refitted(solution, compared, assessment, spacing=spacing, lender=None)
+    return step.refitted(solution, compared, assessment, spacing=spacing, lender=None, beside=None)
 
 
 def followed(
@@ -178,7 +178,7 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
     if solution.belief is step.belief:
         return step
     # Where a refinement excused a part of the misfit, it is asked again.
-    compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
+    compared = compared_again(experiment, step, solution.belief)
     assessment = experiment.assess(compared)
     after = step.refitted(solution, compared, assessment)
     say(f"last digits: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
@@ -189,7 +189,7 @@ def complete(experiment: Experiment, step: Step) -> Step:
     """The step with the tangents of its prediction, which the floor test takes and rivals go without."""
     if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
         return step
-    compared = experiment.compare(step.belief, step.spacing, refine=known_budget(step))
+    compared = compared_again(experiment, step, step.belief)
     return replace(step, compared=compared, assessment=experiment.assess(compared))
 
 
@@ -211,7 +211,7 @@ def with_budget(
     except SimulationError:
         return step if coarse is None else with_budget(experiment, step, report)
     assessment = experiment.assess(compared)
-    known = replace(step, compared=compared, assessment=assessment)
+    known = replace(step, compared=compared, assessment=assessment, beside=coarse)
     told_budget(known, report)
     return known
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from mphygs.extend.grids import complete, lender_of
-from mphygs.extend.step import CLEARLY_BETTER, NEGLIGIBLE, Step, does_alike, known_budget
+from mphygs.extend.step import CLEARLY_BETTER, NEGLIGIBLE, Step, compared_again, does_alike
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -83,7 +83,7 @@ def anew(experiment: Experiment, step: Step, report: Callable[[str], None] | Non
         say(f"materials anew: cost {step.solution.evaluation.cost:.6g} -> {solution.evaluation.cost:.6g}")
         if gain <= 0.0:
             return step
-        compared = experiment.compare(belief, step.spacing, refine=known_budget(step))
+        compared = compared_again(experiment, step, belief)
     except SimulationError:
         return step
     assessment = experiment.assess(compared)

@@ -14,7 +14,7 @@ import numpy as np
 from mphygs.compare.noise import observe
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.extend.finer import lent
-from mphygs.extend.step import Step, known_budget
+from mphygs.extend.step import Step, compared_again
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.simulate.errors import SimulationError
@@ -67,7 +67,7 @@ def _refitted(experiment: Experiment, step: Step, report: Callable[[str], None] 
     try:
         problem = experiment.problem(step.spacing)
         solution = minimise(problem, step.belief, iterations=ITERATIONS, relative_tolerance=1e-3)
-        compared = experiment.compare(solution.belief, step.spacing, refine=known_budget(step))
+        compared = compared_again(experiment, step, solution.belief)
     except SimulationError:
         return None
     return step.refitted(solution, compared, experiment.assess(compared))

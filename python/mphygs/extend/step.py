@@ -8,6 +8,7 @@ import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.extend.refit import Refit
+from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.model.belief import Belief
 
@@ -24,7 +25,8 @@ class Step:
     cannot tell from them; since: share of the fitted frames, from the first on, that they were found on;
     dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
     fitted to all frames, explains them all; lender: spacing of the coarser grid that its Jacobians are
-    of [m], None where they are its own; warnings: what was said on the way to it."""
+    of [m], None where they are its own; beside: spacing of the coarser grid that showed the discretisation's
+    share, where one was asked [m], None for a finer one; warnings: what was said on the way to it."""
 
     belief: Belief
     solution: Solution
@@ -38,6 +40,7 @@ class Step:
     dropped: tuple[str, ...] = ()
     reconciled: bool = False
     lender: float | None = None
+    beside: float | None = None
     warnings: tuple[str, ...] = ()
 
     def refitted(
@@ -63,6 +66,14 @@ class Step:
 def known_budget(step: Step) -> bool:
     """Whether a refinement of the step's model has been run."""
     return any(item.refinement is not None for item in step.compared.values())
+
+
+def compared_again(experiment: Experiment, step: Step, belief: Belief) -> dict[str, Compared]:
+    """A belief compared as a step's was, the discretisation's share included where the step knows it.
+
+    Raises SimulationError.
+    """
+    return experiment.compare(belief, step.spacing, refine=known_budget(step), beside=step.beside)
 
 
 def excess(assessment: Assessment, label: str | None = None) -> float:

@@ -30,12 +30,13 @@ def step_at(
     ties: Sequence[str] = (),
     lender: float | None = None,
     refined: bool = False,
+    beside: float | None = None,
 ) -> Step:
-    """The step that ended at a belief. lender: see `Step`; refined: whether the discretisation's share was
-    asked for (where Jacobians are lent it always is)."""
+    """The step that ended at a belief. lender, beside: see `Step`; refined: whether the discretisation's
+    share was asked for (where Jacobians are lent it always is)."""
     if lender is None:
         evaluation = experiment.problem(spacing).evaluate(belief)
-        compared = experiment.compare(belief, spacing, refine=refined)
+        compared = experiment.compare(belief, spacing, refine=refined, beside=beside)
     else:
         for name in experiment.fitted:
             experiment.predictor(name, lender)
@@ -44,7 +45,15 @@ def step_at(
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
     assessment = experiment.assess(compared)
     return Step(
-        belief, solution, compared, assessment, spacing, tuple(added), tuple(ties), lender=lender
+        belief,
+        solution,
+        compared,
+        assessment,
+        spacing,
+        tuple(added),
+        tuple(ties),
+        lender=lender,
+        beside=beside,
     )
 
 
@@ -55,6 +64,7 @@ def state_of(step: Step) -> dict[str, object]:
         "spacing": step.spacing,
         "lender": step.lender,
         "refined": known_budget(step),
+        "beside": step.beside,
         "since": step.since,
         "reconciled": step.reconciled,
         "warnings": list(step.warnings),
@@ -76,6 +86,7 @@ def restored(
         ties=document["ties"],
         lender=state["lender"],
         refined=state["refined"],
+        beside=state["beside"],
     )
     return replace(
         step,
