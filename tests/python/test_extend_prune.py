@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, assessment_of, recorded
+from extend_example import SPACING, assessment_of, excess_of, recorded
 from mphygs.extend import prune
 from mphygs.extend.discover import _conclude
 from mphygs.extend.prune import anew, pruned
@@ -70,6 +71,18 @@ def test_what_may_still_do_as_well_is_fitted_to_the_end(monkeypatch: pytest.Monk
     said: list[str] = []
     assert pruned(experiment, last, ["gravity"], said.append) is last
     assert said[-1].endswith("in the worst range")
+
+
+@pytest.mark.parametrize(("rise", "goes"), [(1.04, True), (1.07, False)])
+def test_what_pays_a_little_of_a_large_misfit_stays(
+    rise: float, goes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment, _, last = both(0.0)
+    last = replace(last, assessment=excess_of(10.0))
+    monkeypatch.setattr(prune, "_far", lambda *_: False)
+    monkeypatch.setattr(prune, "anew", lambda _experiment, step, _report: step)
+    monkeypatch.setattr(experiment, "assess", lambda _compared: excess_of(rise * 10.0))
+    assert (pruned(experiment, last, ["gravity"]).belief.effects == ("viscosity",)) is goes
 
 
 def test_materials_begin_anew_where_that_is_better() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from mphygs.extend.grids import complete, lender_of
-from mphygs.extend.step import CLEARLY_BETTER, NEGLIGIBLE, Step, compared_again, does_alike
+from mphygs.extend.step import NEGLIGIBLE, Step, compared_again, does_alike
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -16,6 +16,8 @@ from mphygs.simulate.errors import SimulationError
 # Of a fit without an effect; after the first few one that is far off is given up: whose excess over noise is
 # so many times what would do as well.
 ITERATIONS, FIRST, FAR = 8, 2, 2.0
+# An effect that lowers the excess to this share is needed: what is in the model has been paid for.
+NEEDED = 0.95
 # Of the frames, one after the other, on which materials begin anew.
 SHARES = (0.25, 0.5, 1.0)
 
@@ -52,7 +54,7 @@ def pruned(
         assessment = experiment.assess(compared)
         without = step.refitted(solution, compared, assessment, dropped=(*step.dropped, name))
         say(f"without {name}: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-        if not does_alike(without, step):
+        if not does_alike(without, step, share=NEEDED):
             continue
         without = complete(experiment, without)
         if without.explained >= step.explained:
@@ -62,7 +64,7 @@ def pruned(
 
 def _far(without: Evaluation, step: Evaluation) -> bool:
     """Whether a fit that is not at its end yet will not do as well as the step's."""
-    enough = max(step.misfit**2 - 1.0, 0.0) / CLEARLY_BETTER + NEGLIGIBLE
+    enough = max(step.misfit**2 - 1.0, 0.0) / NEEDED + NEGLIGIBLE
     return without.misfit**2 - 1.0 > FAR * enough
 
 

@@ -83,7 +83,10 @@ def excess(assessment: Assessment, label: str | None = None) -> float:
     return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
 
 
-def does_alike(rival: Step, best: Step) -> bool:
-    """Whether a rival explains as much as the best; every parameter that the best has more has to pay."""
+def does_alike(rival: Step, best: Step, *, share: float = CLEARLY_BETTER) -> bool:
+    """Whether a rival explains as much as the best; every parameter that the best has more has to pay.
+
+    share: of the rival's excess that a better one would leave.
+    """
     more = max(len(best.belief.free) - len(rival.belief.free), 0)
-    return excess(rival.assessment) < excess(best.assessment) / CLEARLY_BETTER + NEGLIGIBLE * (1 + more)
+    return excess(rival.assessment) < excess(best.assessment) / share + NEGLIGIBLE * (1 + more)
