@@ -98,8 +98,14 @@ def restored(
 
 
 def uncertainty(step: Step) -> np.ndarray:
-    """(P, P) covariance of the free coordinates: the noise's, and the grid's where a refinement is known."""
+    """(P, P) covariance of the free coordinates: the noise's, and the grid's where a refinement is known.
+
+    What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
+    noise, and even that says too little, for it goes on from frame to frame.
+    """
     noise = covariance(step.solution.evaluation)
+    if not step.explained:
+        noise = noise * max(step.solution.evaluation.misfit, 1.0) ** 2
     shift = grid_shift(step.compared, noise)
     return noise if shift is None else noise + np.outer(shift, shift)
 

@@ -48,8 +48,10 @@ class ForcedSequence:
         self.predictor, self.last = predictor, last
 
     def model(self, belief: Belief) -> object:
-        """The compiled model."""
-        return self.predictor.model_of(belief)
+        """The compiled model, all workers sharing its runs."""
+        model = self.predictor.model_of(belief)
+        self.predictor.transfer.share(model, self.predictor.settings.workers)
+        return model
 
     def timeline(self, belief: Belief) -> Timeline:
         """Frames and substeps at a belief."""
