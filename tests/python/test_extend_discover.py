@@ -372,25 +372,42 @@ def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.Monk
 
 
 def test_rivals_follow_to_a_grid_that_lent_tangents_reached(monkeypatch: pytest.MonkeyPatch) -> None:
-    went: list[tuple[float, float]] = []
+    went: list[tuple[float, float, float]] = []
+    # So much do materials cost that are not the best ones.
+    costs = {5e4: 9.0, 6e4: 1.0}
 
-    def on_grid(_experiment: object, step: Step, spacing: float, _report: object, *, tangents: bool) -> Step:
-        assert not tangents
-        return replace(step, spacing=spacing)
+    class Problem:
+        def evaluate(self, belief: Belief, *, jacobian: bool) -> SimpleNamespace:
+            assert not jacobian
+            return SimpleNamespace(cost=costs[belief[KEY].value])
+
+    class Grids:
+        def problem(self, spacing: float) -> Problem:
+            assert spacing == 0.4 * SPACING
+            return Problem()
 
     def lent(_experiment: object, step: Step, spacing: float, lender: float, _report: object) -> Step:
-        went.append((step.spacing, spacing))
+        went.append((step.belief[KEY].value, spacing, lender))
         return replace(step, spacing=spacing, lender=lender, assessment=excess_of(0.05))
 
     def refined(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
         return replace(steps[-1], spacing=0.4 * SPACING, lender=0.5 * SPACING)
 
-    for name, function in {"refined": refined, "on_grid": on_grid, "lent": lent}.items():
+    def at(step: Step, young: float) -> Step:
+        return replace(step, belief=step.belief.with_parameter(KEY, value=young))
+
+    for name, function in {"refined": refined, "lent": lent}.items():
         monkeypatch.setattr(settle, name, function)
-    best, rival = model("viscosity", 0.05, 2), model("fibre", 0.06, 3)
-    found = settled(None, [step_of(assessment_of(20.0))], best, [rival], None, screening=True)
-    assert went == [(0.5 * SPACING, 0.4 * SPACING)]
+    best, rival = at(model("viscosity", 0.05, 2), 6e4), at(model("fibre", 0.06, 3), 5e4)
+    first = [step_of(assessment_of(20.0))]
+    found = settled(Grids(), first, best, [rival], None, screening=True)
+    # It begins with the materials that the best one found there, where its own fit worse,
+    assert went == [(6e4, 0.4 * SPACING, 0.5 * SPACING)]
     assert (found.added, found.ties) == (("viscosity",), ("fibre",))
+    # and with its own, where they fit better.
+    costs[5e4] = 0.5
+    settled(Grids(), first, best, [rival], None, screening=True)
+    assert went[1:] == [(5e4, 0.4 * SPACING, 0.5 * SPACING)]
 
 
 def test_rivals_are_compared_on_the_grid_of_the_best(monkeypatch: pytest.MonkeyPatch) -> None:

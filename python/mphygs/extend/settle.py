@@ -10,6 +10,7 @@ from mphygs.extend.grids import complete, on_grid, refined
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
+from mphygs.simulate.errors import SimulationError
 
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
 # many at most.
@@ -56,8 +57,25 @@ def _beside(
     hopeless = ALIKE**0.5 * best.solution.evaluation.misfit
     if best.lender is None:
         return on_grid(experiment, rival, best.spacing, report, hopeless=hopeless, tangents=False)
-    moved = on_grid(experiment, rival, best.lender, report, tangents=False)
-    return moved and lent(experiment, moved, best.spacing, best.lender, report)
+    nearest = _nearest(experiment, rival, best)
+    return nearest and lent(experiment, nearest, best.spacing, best.lender, report)
+
+
+def _nearest(experiment: Experiment, rival: Step, best: Step) -> Step | None:
+    """The rival with its own materials or with those that the best step found on its finer grid, whichever
+    fit better there; None where neither can be simulated."""
+    belief, found = rival.belief, {p.key: p.value for p in best.belief.parameters}
+    for p in rival.belief.parameters:
+        if p.free and p.key in found and p.key.split(".")[0] not in rival.added:
+            belief = belief.with_parameter(p.key, value=min(max(found[p.key], p.lower), p.upper))
+    problem = experiment.problem(best.spacing)
+    costs = []
+    for start in (rival.belief, belief):
+        try:
+            costs.append((problem.evaluate(start, jacobian=False).cost, len(costs), start))
+        except SimulationError:
+            continue
+    return replace(rival, belief=min(costs)[2]) if costs else None
 
 
 def _takes_the_grids(best: Step, rival: Step) -> bool:
