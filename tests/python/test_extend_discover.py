@@ -453,6 +453,47 @@ def test_only_what_pays_sets_a_bound_for_others(pays: bool, monkeypatch: pytest.
     assert bounds["relaxation"] == (pytest.approx(discover.ALIKE * 400.0) if pays else np.inf)
 
 
+# ---- which effects are kept -------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("left", "adequate", "kept"), [(0.85, False, True), (0.95, False, False), (0.95, True, True)]
+)
+def test_what_explains_too_little_is_not_kept(
+    left: float, adequate: bool, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """left: share of the excess that the best effect leaves."""
+    first = step_of(excess_of(10.0))
+    after = excess_of(10.0 * left)
+    after = replace(after, adequate=adequate)
+    found = step_of(after, added=("fibre",), free=1)
+    pays = SimpleNamespace(pays=True, surprising=False, entry=SimpleNamespace(effect="fibre"))
+    rounds: list[int] = []
+
+    def refits_of(*_: object) -> list[object]:
+        rounds.append(1)
+        return [pays] if len(rounds) == 1 else []
+
+    whole = (1.0, first.solution)
+    patches: dict[str, Callable] = {
+        "tractable_window": lambda *_: whole, "allowance_of": lambda *_, **__: None,
+        "rank": lambda *_, **__: ranking_of(), "refits_of": refits_of,
+        "choose": lambda refits: (refits[0], []),
+        "step_of": lambda *_: found, "settled": lambda *_, **__: found, "pruned": lambda _e, step, *_: step,
+        "reconciled": lambda _e, step, _r: step, "refined": lambda _e, steps, *_, **__: steps[-1],
+        "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "polished": lambda _e, step, _r: step,
+        "with_budget": lambda _e, step, _r, **_: step, "screening_spacing": lambda _c: SPACING,
+        "anew": lambda _e, step, _r: step,
+    }  # fmt: skip
+    for name, function in patches.items():
+        monkeypatch.setattr(discover, name, function)
+    said: list[str] = []
+    loop = discover.discover(
+        SimpleNamespace(capture=None), plain_belief(), SPACING, start=[first], report=said.append
+    )
+    assert [step.added for step in loop.steps] == ([(), ("fibre",)] if kept else [()])
+    assert ("fibre: explains too little of what is left" in said) is not kept
+    assert loop.verdict == ("missing" if adequate else "unknown")
+
+
 # ---- a loop that was stopped ------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("added", "asked"), [([()], 1), ([(), ("marker_outliers",)], 1), ([(), ("viscosity",)], 0)]

@@ -18,7 +18,7 @@ from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.settle import ALIKE, choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
-from mphygs.extend.step import EXPLAINED, Step, known_budget
+from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -41,6 +41,9 @@ SIGNIFICANT = 1e-3
 LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
 # An effect that leaves so many times the best one's chi^2 after an iteration is not followed.
 HOPELESS = 10.0
+# An effect that leaves more than this share of the excess over noise and does not reach the floor is not
+# what is missing: some effect always bends the curve a little.
+TOO_LITTLE = 0.9
 # A grid within this factor of the default one is no screening grid; on others a fit is not worth its last
 # digits.
 FINE, SCREENING_ACCURACY = 1.1, 1e-3
@@ -331,6 +334,9 @@ def discover(
         step = judged(pruned(experiment, last, earlier, report))
         if not best.pays and not step.explained:
             say(f"{best.entry.effect}: does not pay on unseen frames")
+            break
+        if not step.explained and excess(step.assessment) > TOO_LITTLE * excess(steps[-1].assessment):
+            say(f"{', '.join(step.added)}: explains too little of what is left")
             break
         done(step)
         without_bad_tracks()
