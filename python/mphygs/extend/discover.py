@@ -16,12 +16,13 @@ from mphygs.extend.prune import anew, pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import Refit, finish_refit, start_refit
+from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.settle import ALIKE, choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import default_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -162,12 +163,7 @@ def refits_of(
             # back.
             try:
                 for share in onward(window[0], entry.kind):
-                    solution = minimise(
-                        experiment.window(spacing, share),
-                        solution.belief,
-                        iterations=3,
-                        relative_tolerance=1e-3,
-                    )
+                    solution = fit_what_sets_in(experiment.window(spacing, share), solution.belief)
             except SimulationError:
                 continue
             begun.append((solution.evaluation.chi_square, entry, solution))

@@ -9,6 +9,7 @@ from dataclasses import replace
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.finer import finer
+from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import Step, compared_again, excess, known_budget
 from mphygs.extend.window import forget
@@ -143,8 +144,8 @@ def followed(
         problem = experiment.window(spacing, share)
         # Far from the minimum a step of the coarse grid may lead to where that grid carries nothing.
         lender = None if far else lender_of(experiment, spacing, share)
-        return minimise(
-            problem, start, iterations=iterations, relative_tolerance=1e-3, lender=lender, report=tell
+        return fit_what_sets_in(
+            problem, start, iterations=iterations, lender=lender, report=tell
         ).belief
 
     belief = hold_friction(belief)

@@ -14,9 +14,9 @@ from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.extend.grids import lender_of
+from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
@@ -51,8 +51,8 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
             belief = experiment.with_release(belief, name, step.spacing)
             whole.predictor(name, step.spacing)
         lender = lender_of(whole, step.spacing)
-        solution = minimise(
-            whole.problem(step.spacing), belief, iterations=ITERATIONS, relative_tolerance=1e-3, lender=lender
+        solution = fit_what_sets_in(
+            whole.problem(step.spacing), belief, iterations=ITERATIONS, lender=lender
         )
         compared = whole.compare(solution.belief, step.spacing, refine=True)
     except SimulationError:

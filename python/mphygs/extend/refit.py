@@ -12,6 +12,7 @@ from mphygs.compare.assess import Assessment, Compared, whiten_all
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.rank import Entry
+from mphygs.extend.setting_in import placed
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise, told
 from mphygs.model.belief import Belief
@@ -146,9 +147,9 @@ def start_refit(
             best, best_cost = start, cost
     if best is None:
         return None
-    if entry.effect == "contact":
-        best = hold_friction(best)
     try:
+        if entry.kind == "threshold":
+            best = placed(problem, hold_friction(best))
         solution = minimise(problem, best, iterations=1, relative_tolerance=1e-3)
         done = len(solution.history) - 1
         if iterations > 1 and not solution.converged and solution.evaluation.chi_square < hopeless:
