@@ -318,3 +318,10 @@ def test_a_step_that_loses_its_floor_in_the_last_digits_stays(monkeypatch: pytes
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
     monkeypatch.setattr(experiment, "assess", lambda _compared: assessment_of(9.0))
     assert grids.polished(experiment, near) is near
+
+
+def test_no_last_digits_where_the_grid_is_the_excuse() -> None:
+    experiment, truth = scene()
+    near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
+    excused = replace(near, assessment=assessment_of(1.2, adequate=True))
+    assert grids.polished(experiment, excused) is excused

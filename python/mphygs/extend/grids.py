@@ -11,7 +11,7 @@ from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.finer import finer
 from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.simplest import among_all, explains
-from mphygs.extend.step import Step, compared_again, excess, known_budget
+from mphygs.extend.step import EXPLAINED, Step, compared_again, excess, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, told
@@ -171,8 +171,8 @@ def followed(
 
 def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """The step with its numbers at the minimum, to a small share of their errors; refits stop short."""
-    if step.lender is not None:
-        return step  # what Jacobians of another grid lead to has none
+    if step.lender is not None or step.assessment.worst > EXPLAINED:
+        return step  # what Jacobians of another grid lead to has none, and the grid's error hides them
     say = report or (lambda _text: None)
     problem = experiment.problem(step.spacing)
     solution = minimise(problem, step.belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)

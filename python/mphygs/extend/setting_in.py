@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.levenberg_marquardt import Solution, approached, minimise
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -30,14 +30,15 @@ def placed(
 
     Fitted together from the start, materials make up for a wall that is not at its place yet, and keep it
     there: parts that hardly swing turn into rubber or jelly. Those of the frames before it are nearly right.
-    Raises SimulationError.
+    lender: the same fit on a coarser grid, whose Jacobians serve here. Raises SimulationError.
     """
     first = alone(belief)
     if not first.free:
         return belief
-    found = minimise(
-        problem, first, iterations=ALONE, relative_tolerance=1e-3, lender=lender, report=report
-    ).belief
+    if lender is not None:
+        found = approached(problem, lender, first, iterations=ALONE, report=report)
+    else:
+        found = minimise(problem, first, iterations=ALONE, relative_tolerance=1e-3, report=report).belief
     for p in first.free:
         belief = belief.with_parameter(p.key, value=found[p.key].value)
     return belief
