@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -325,3 +326,52 @@ def test_no_last_digits_where_the_grid_is_the_excuse() -> None:
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
     excused = replace(near, assessment=assessment_of(1.2, adequate=True))
     assert grids.polished(experiment, excused) is excused
+
+
+# ---- what sets in, on another grid ------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("direct", "anew", "taken", "asked"),
+    [
+        # near the floor from the coarse grid's model: nothing more is asked
+        (1.1, 1.0, "direct", 0),
+        # else the better of the two
+        (1.3, 1.2, "anew", 1),
+        (1.3, 1.4, "direct", 1),
+        # one of them cannot be simulated
+        (None, 1.4, "anew", 1),
+        (1.3, None, "direct", 1),
+    ],
+)
+def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
+    direct: float | None, anew: float | None, taken: str, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment, truth = scene()
+    # The belief tells itself by its stiffness.
+    young = {"direct": 5e4, "anew": 7e4}
+    misfits = {young["direct"]: direct, young["anew"]: anew}
+    starts: list[float] = []
+
+    class Asked:
+        def evaluate(self, belief: Belief, *, jacobian: bool) -> SimpleNamespace:
+            assert not jacobian
+            misfit = misfits[belief[FREE[0]].value]
+            return SimpleNamespace(misfit=misfit, cost=misfit**2)
+
+    def approached(problem: Asked, _lender: object, belief: Belief, **_: object) -> Belief:
+        if misfits[belief[FREE[0]].value] is None:
+            raise SimulationError("unstable")
+        return belief
+
+    def followed(*_: object) -> Belief:
+        starts.append(1.0)
+        return truth.with_parameter(FREE[0], value=young["anew"])
+
+    monkeypatch.setattr(type(experiment), "problem", lambda _self, _spacing: Asked())
+    monkeypatch.setattr(grids, "placed", lambda _p, belief, **_: belief)
+    monkeypatch.setattr(grids, "approached", approached)
+    monkeypatch.setattr(grids, "followed", followed)
+    coarse = truth.with_parameter(FREE[0], value=young["direct"])
+    found = grids._met_again(experiment, coarse, 0.5, object(), FINE)
+    assert found[FREE[0]].value == young[taken] and len(starts) == asked
+    # Without a coarser grid to lend its Jacobians it begins from before.
+    assert grids._met_again(experiment, coarse, 0.5, None, FINE)[FREE[0]].value == young["anew"]

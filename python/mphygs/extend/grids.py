@@ -6,15 +6,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.compare.assess import LARGEST_GRID_ERROR
+from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.finer import finer
-from mphygs.extend.setting_in import fit_what_sets_in
+from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import EXPLAINED, Step, compared_again, excess, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import minimise, told
+from mphygs.fit.levenberg_marquardt import approached, minimise, told
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import default_spacing, find_scale, screening_spacing, simulable
 from mphygs.model.belief import Belief
@@ -102,9 +102,9 @@ def on_grid(
         problem = experiment.problem(spacing)
         belief = simulable(problem, step.belief)
         tell = told(report, f"{1e3 * spacing:.3g} mm")
-        if step.since < 1.0 and sets_in(step):
-            belief = followed(experiment, belief, step.since, spacing, tell)
         lender = lender_of(experiment, spacing)
+        if step.since < 1.0 and sets_in(step):
+            belief = _met_again(experiment, belief, step.since, lender, spacing, tell)
         solution = minimise(
             problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
         )
@@ -125,6 +125,36 @@ def on_grid(
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     return step.refitted(solution, compared, assessment, spacing=spacing, lender=None, beside=None)
+
+
+def _met_again(
+    experiment: Experiment,
+    belief: Belief,
+    since: float,
+    lender: Problem | None,
+    spacing: float,
+    tell: Callable[[int, object, object], None] | None = None,
+) -> Belief:
+    """The belief with what sets in, from what a coarser grid made of it where that fits here as well, else
+    from before it (see `followed`), whichever fits better."""
+    problem, direct = experiment.problem(spacing), None
+    if lender is not None:
+        try:
+            direct = approached(problem, lender, placed(problem, belief, lender=lender), report=tell)
+            reached = problem.evaluate(direct, jacobian=False)
+            if reached.misfit <= BUDGET_FLOOR:
+                return direct
+        except SimulationError:
+            direct = None
+    anew = followed(experiment, belief, since, spacing, tell)
+    if direct is None:
+        return anew
+    try:
+        anew = approached(problem, lender, anew, report=tell)
+        better = problem.evaluate(anew, jacobian=False).cost < reached.cost
+    except SimulationError:
+        better = False
+    return anew if better else direct
 
 
 def followed(
