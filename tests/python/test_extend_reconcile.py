@@ -6,16 +6,13 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.extend import reconcile as module
 from mphygs.extend.reconcile import on_all_frames, reconciled
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
 
@@ -60,31 +57,6 @@ def test_what_the_fitted_frames_leave_open_is_not_missing() -> None:
     # The numbers stay those of the fitted frames.
     assert after.belief is step.belief and after.assessment is step.assessment
     assert "leave open" in said[-1]
-
-
-def test_the_coarse_grids_jacobians_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where they lead to what explains all frames, the grid's own are not asked for."""
-    experiment, step = off()
-    coarse = 1.25 * SPACING
-    lent: list[Problem] = []
-    approach = module.approached
-
-    def approached(problem: Problem, lender: Problem, belief: Belief, **options: object) -> Belief:
-        lent.append(lender)
-        return approach(problem, lender, belief, **options)
-
-    def never(*_: object, **__: object) -> None:
-        raise AssertionError("own Jacobians")
-
-    monkeypatch.setattr(module, "lender_of", lambda whole, _spacing: whole.problem(coarse))
-    monkeypatch.setattr(module, "approached", approached)
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "fit_what_sets_in", never)
-        assert reconciled(experiment, step).reconciled
-    assert [problem.settings.spacing for problem in lent] == [coarse]
-    # Where they do not, the grid's own decide.
-    monkeypatch.setattr(module, "approached", lambda _p, _l, belief, **_: belief)
-    assert reconciled(experiment, step).reconciled
 
 
 def test_what_is_missing_stays_missing() -> None:

@@ -12,13 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from mphygs.compare.assess import BUDGET_FLOOR, Assessment
+from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.extend.grids import lender_of
-from mphygs.extend.setting_in import fit_what_sets_in, placed
+from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached
-from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
@@ -54,22 +52,12 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
             whole.predictor(name, step.spacing)
         lender = lender_of(whole, step.spacing)
         problem = whole.problem(step.spacing)
-        if lender is not None:
-            # Where the coarse grid's Jacobians lead is mostly enough, at an eighth of the work.
-            belief = placed(problem, belief, lender=lender)
-            belief = approached(problem, lender, belief, iterations=ITERATIONS)
-            assessment, enough = _judged(whole, belief, step.spacing)
-        if lender is None or not enough:
-            belief = fit_what_sets_in(problem, belief, iterations=ITERATIONS).belief
-            assessment, enough = _judged(whole, belief, step.spacing)
+        solution = fit_what_sets_in(problem, belief, iterations=ITERATIONS, lender=lender)
+        compared = whole.compare(solution.belief, step.spacing, refine=True)
     except SimulationError:
         return step
+    assessment = whole.assess(compared)
+    enough = assessment.adequate or assessment.worst <= EXPLAINED
     meaning = "what was missed is what the fitted frames leave open" if enough else "something is missing"
     say(f"fitted to all frames: {assessment.worst:.3f} sigma, {meaning}")
     return replace(step, reconciled=enough)
-
-
-def _judged(whole: Experiment, belief: Belief, spacing: float) -> tuple[Assessment, bool]:
-    """The statistics of a model of all frames, and whether it explains them."""
-    assessment = whole.assess(whole.compare(belief, spacing, refine=True))
-    return assessment, assessment.adequate or assessment.worst <= EXPLAINED
