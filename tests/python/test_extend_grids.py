@@ -286,6 +286,13 @@ def test_causes_of_the_others_misfit_are_looked_for_from_what_explains_the_simpl
     whole = replace(whole, assessment=assessment_of(1.2, 22.0))
     assert grids.probed(Recordings(), here, coarse, simple=("s0",)) is here
 
+    # Nor where that grid cannot carry the others.
+    def unstable(*_: object) -> Step:
+        raise SimulationError("unstable")
+
+    monkeypatch.setattr(grids, "among_all", unstable)
+    assert grids.probed(Recordings(), here, coarse, simple=("s0",)) is here
+
 
 def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None:
     assert grids.excess(assessment_of(2.0, 0.5)) == pytest.approx(1.5)

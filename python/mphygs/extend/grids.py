@@ -314,7 +314,10 @@ def probed(
         inner = experiment.only(simple)
         alone = replace(step, belief=inner.starting(step.belief))
         alone = on_grid(inner, alone, spacing, report, tangents=False)
-        coarse = alone and among_all(experiment, step.belief, alone)
+        try:
+            coarse = alone and among_all(experiment, step.belief, alone)
+        except SimulationError:
+            return step
         return coarse if coarse and explains(coarse, simple) else step
     coarse = on_grid(experiment, step, spacing, report)
     if coarse is None or coarse.assessment.worst > SAME_MISFIT * step.assessment.worst:
