@@ -86,6 +86,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
     monkeypatch.setattr(window, "minimise", minimise)
     monkeypatch.setattr(window, "find_scale", lambda _window, belief: belief)
+    monkeypatch.setattr(window, "unabsorbed", lambda *_, **__: 0.0)
     return done
 
 
@@ -118,6 +119,28 @@ def test_the_window_ends_where_the_misfit_is_visible_but_small(
 ) -> None:
     share, solution = look(Frames(growing(per_share)))
     assert share == fits[-1] == expected and fitted_share(solution.belief) == pytest.approx(share)
+
+
+def test_what_may_be_the_grids_own_is_followed_over_more_frames(
+    fits: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def unabsorbed(_experiment: Frames, spacing: float, belief: Belief, _: object, *, share: float) -> float:
+        assert spacing == SPACING and fitted_share(belief) == share
+        asked.append(share)
+        return 1.8
+
+    monkeypatch.setattr(window, "unabsorbed", unabsorbed)
+    # 1.64 sigma: 1.3 beyond noise; 2.255: 2.02, more than the grid may have.
+    assert look(Frames(growing(4.1)))[0] == 0.55 and asked == [0.4, 0.55]
+    # All of it may be the grid's: as many frames as there are windows for.
+    monkeypatch.setattr(window, "unabsorbed", lambda *_, **__: np.inf)
+    assert look(Frames(growing(5.0)))[0] == 0.75
+    # The next window is far off: something sets in that the model of the frames before does not have.
+    share, solution = look(Frames(lambda fitted, seen: 9.0 if max(fitted, seen) > 0.5 else 1.6))
+    assert share == 0.75 and fitted_share(solution.belief) == pytest.approx(0.4)
+    assert solution.reason == "seen from before"
 
 
 def sets_in(at: float, steep: float = 40.0) -> Misfit:

@@ -14,6 +14,7 @@ import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
 from mphygs.diagnose.document import advice, diagnosis_text, ranking_document
+from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.missing_force_document import (
     Unexplained,
     keep_missing_force,
@@ -21,7 +22,7 @@ from mphygs.diagnose.missing_force_document import (
     unexplained,
 )
 from mphygs.diagnose.next_motion import Proposed
-from mphygs.diagnose.rank import Ranking, allowance_of, rank
+from mphygs.diagnose.rank import Ranking, rank
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.separate import motions_to_record
 from mphygs.extend.step import Step, excess

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mphygs.compare.allowance import Allowance, modulated_directions
+from mphygs.compare.allowance import Allowance
 from mphygs.diagnose.candidates import Way, base_motion_ways, smooth_ways, starting_effect
 from mphygs.diagnose.contact_search import search, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
@@ -27,7 +27,6 @@ from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import MLS
 
-MODULATIONS = 6
 # Effects that do nothing, scored beside the candidates.
 DECOYS = 20
 FREQUENCIES = 2
@@ -117,28 +116,6 @@ def _stack(
         else:
             decoys.append(np.zeros((len(blocks[-1]), DECOYS)))
     return np.concatenate(blocks), np.concatenate(decoys)
-
-
-def allowance_of(
-    experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation, *, share: float = 1.0
-) -> Allowance:
-    """The discretisation's error over the first `share` of the fitted frames, as nuisance directions."""
-    problem = experiment.window(spacing, share)
-    pieces, parts, frames = [], [], []
-    for number, (name, (first, last)) in enumerate(problem.ranges.items()):
-        finer = experiment.predictor(name, spacing / 1.5)
-        try:
-            change = finer.predict(belief, last=last).position - evaluation.positions[name]
-        except SimulationError:
-            return Allowance()
-        whitener = experiment.observations[name].whitener(first, last)
-        pieces.append(whitener.whiten(change[first:last] / (1.0 - 1.5**-2)))
-        parts.append(problem.predictors[name].attachment.part[whitener.marker] + 1000 * number)
-        frames.append(whitener.frame)
-    directions = modulated_directions(
-        np.concatenate(pieces), np.concatenate(parts), np.concatenate(frames), count=MODULATIONS
-    )
-    return Allowance(directions=directions[:, np.linalg.norm(directions, axis=0) > 1e-9])
 
 
 def rank(

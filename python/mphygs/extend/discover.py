@@ -9,8 +9,9 @@ import numpy as np
 
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
+from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
-from mphygs.diagnose.rank import Entry, Ranking, allowance_of, rank
+from mphygs.diagnose.rank import Entry, Ranking, rank
 from mphygs.extend.grids import onward, polished, probed, refined, with_budget
 from mphygs.extend.prune import anew, pruned
 from mphygs.extend.readmit import FAULT, readmitted

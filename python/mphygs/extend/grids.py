@@ -14,7 +14,7 @@ from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import EXPLAINED, Step, compared_again, excess, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached, minimise, told
+from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import default_spacing, find_scale, screening_spacing, simulable
 from mphygs.model.belief import Belief
@@ -118,6 +118,9 @@ def on_grid(
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=1e-3, report=tell
             )
+        if tangents and solution.evaluation.misfit <= EXPLAINED:
+            # It may be concluded from: its tangents on all frames, which cost most, are asked for once.
+            solution = _to_last_digits(problem, solution.belief)
         compared = experiment.compare(solution.belief, spacing, jacobian=tangents)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
@@ -125,6 +128,11 @@ def on_grid(
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     return step.refitted(solution, compared, assessment, spacing=spacing, lender=None, beside=None)
+
+
+def _to_last_digits(problem: Problem, belief: Belief) -> Solution:
+    """The fit at the minimum, to a small share of the standard errors; refits stop short of it."""
+    return minimise(problem, belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)
 
 
 def _met_again(
@@ -200,12 +208,11 @@ def followed(
 
 
 def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
-    """The step with its numbers at the minimum, to a small share of their errors; refits stop short."""
+    """The step with its numbers at the minimum (see `_to_last_digits`)."""
     if step.lender is not None or step.assessment.worst > EXPLAINED:
         return step  # what Jacobians of another grid lead to has none, and the grid's error hides them
     say = report or (lambda _text: None)
-    problem = experiment.problem(step.spacing)
-    solution = minimise(problem, step.belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)
+    solution = _to_last_digits(experiment.problem(step.spacing), step.belief)
     if solution.belief is step.belief:
         return step
     # Where a refinement excused a part of the misfit, it is asked again.

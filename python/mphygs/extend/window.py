@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -45,7 +46,7 @@ def tractable_window(
 
     A model that lacks a strong effect buys the whole motion with absurd materials, and no tangent there says
     anything. Over its first frames the same model is nearly right: the window ends where the misfit is
-    clearly more than noise but still small.
+    clearly more than noise, and than what the grid may have of its own, but still small.
     """
     evaluation = current.solution.evaluation
 
@@ -80,6 +81,13 @@ def tractable_window(
             evaluation = experiment.window(spacing, share).evaluate(before)
         return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
 
+    def grids_own(share: float, solution: Solution) -> bool:
+        """Whether the grid's own error is as large as what is left there."""
+        beyond = np.sqrt(max(ratio_of(solution.evaluation) ** 2 - 1.0, 0.0))
+        own = unabsorbed(experiment, spacing, solution.belief, solution.evaluation, share=share)
+        say(f"  beyond noise {beyond:.3g} sigma; the grid may have {own:.3g} of its own")
+        return own > beyond
+
     shortest, beyond = fitted(WINDOWS[0], belief), WINDOWS[0]
     for share in SHORTER:
         if ratio_of(shortest.evaluation) < TRACTABLE:
@@ -96,11 +104,9 @@ def tractable_window(
         solution = shortest if share == WINDOWS[0] else fitted(share, belief)
         ratio = ratio_of(solution.evaluation)
         if best is not None and ratio > TRACTABLE:
-            if ratio_of(best[1].evaluation) > VISIBLE:
-                break
             return seen_from(best[1].belief, 0.5 * (best[0] + share), WINDOWS[-1])
         best, belief = (share, solution), solution.belief
-        if ratio > VISIBLE:
+        if ratio > VISIBLE and not grids_own(share, solution):
             break
     if ratio_of(best[1].evaluation) < VISIBLE:
         # It sets in later still.
