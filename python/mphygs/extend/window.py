@@ -71,12 +71,13 @@ def tractable_window(
         say(f"window of {share:.0%} of the frames: {ratio_of(solution.evaluation):.3f} sigma")
         return solution
 
-    def seen_from(before: Belief, share: float, farther: float) -> tuple[float, Solution]:
+    def seen_from(fit: Solution, share: float, farther: float) -> tuple[float, Solution]:
         """Something sets in between, a contact say. The model of the frames before it is right there: what
         it lacks is seen from it on the frames after."""
+        before = fit.belief
         evaluation = experiment.window(spacing, share).evaluate(before)
         say(f"seen from before, {share:.0%} of the frames: {ratio_of(evaluation):.3f} sigma")
-        if ratio_of(evaluation) < VISIBLE:
+        if ratio_of(evaluation) < VISIBLE * max(1.0, ratio_of(fit.evaluation)):
             share = farther
             evaluation = experiment.window(spacing, share).evaluate(before)
         return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
@@ -98,13 +99,13 @@ def tractable_window(
         best = (share, shortest)
     if best is not None:
         if ratio_of(shortest.evaluation) < VISIBLE:
-            return seen_from(shortest.belief, 0.5 * (best[0] + beyond), beyond)
+            return seen_from(shortest, 0.5 * (best[0] + beyond), beyond)
         return best
     for share in WINDOWS:
         solution = shortest if share == WINDOWS[0] else fitted(share, belief)
         ratio = ratio_of(solution.evaluation)
         if best is not None and ratio > TRACTABLE:
-            return seen_from(best[1].belief, 0.5 * (best[0] + share), WINDOWS[-1])
+            return seen_from(best[1], 0.5 * (best[0] + share), WINDOWS[-1])
         best, belief = (share, solution), solution.belief
         if ratio > VISIBLE and not grids_own(share, solution):
             break
