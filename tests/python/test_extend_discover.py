@@ -476,6 +476,34 @@ def test_only_what_pays_sets_a_bound_for_others(pays: bool, monkeypatch: pytest.
     assert bounds["relaxation"] == (pytest.approx(discover.ALIKE * 400.0) if pays else np.inf)
 
 
+def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+
+    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> None:
+        begun.append(entry.effect)
+        return solution_of(plain_belief(), evaluation_of(2e3)) if entry.effect == "air_drag" else None
+
+    monkeypatch.setattr(discover, "start_refit", start_refit)
+    monkeypatch.setattr(discover, "finish_refit", lambda *_, **__: None)
+    near = (1e4 - discover.ALIKE * 2e3) / discover.BEYOND_TANGENTS
+    entries = [
+        entry_of("air_drag", 6e3), entry_of("fibre", near + 1.0), entry_of("tether", near - 1.0),
+        entry_of("contact", near - 2.0, kind="threshold"), entry_of("frame_drift", 1.2e3, kind="measurement"),
+    ]  # fmt: skip
+    window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
+
+    def begun_at(misfit: float) -> list[str]:
+        begun.clear()
+        ranking = replace(ranking_of(*entries, misfit=misfit), chi_square=1e4)
+        ranking = replace(ranking, rows=round(1e4 / misfit**2))
+        refits_of(None, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+        return list(begun)
+
+    assert begun_at(3.9) == ["air_drag", "fibre", "contact"]
+    # Far from the data the tangents tell too little.
+    assert begun_at(4.1) == ["air_drag", "fibre", "tether", "contact", "frame_drift"]
+
+
 # ---- which effects are kept -------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("left", "adequate", "kept"), [(0.85, False, True), (0.95, False, False), (0.95, True, True)]

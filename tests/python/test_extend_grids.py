@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import assessment_of, excess_of, recorded, step_of
+from extend_example import assessment_of, evaluation_of, excess_of, plain_belief, recorded, solution_of, step_of
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.extend import grids
 from mphygs.extend.step import Step
@@ -62,14 +62,41 @@ def test_spacings_are_those_of_250_cells() -> None:
     ],
 )
 def test_the_default_grid_is_asked_where_the_misfit_may_be_the_grids_own(
-    ratios: tuple[float, float], added: tuple[str, ...], factor: float, asked: bool
+    ratios: tuple[float, float],
+    added: tuple[str, ...],
+    factor: float,
+    asked: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(grids, "unabsorbed", lambda *_: 0.0)
     first, last = (step_of(assessment_of(r), spacing=factor * default()) for r in ratios)
     found = grids.next_spacing(scene()[0], [first, replace(last, added=added)])
     assert found == (default() if asked else None)
 
 
-def test_what_sets_in_is_judged_by_the_fitted_frames() -> None:
+@pytest.mark.parametrize(
+    ("own", "before", "added", "asked"),
+    [
+        (9.0, 20.0, ("viscosity",), True),
+        # less than is left: 8.94 sigma beyond noise
+        (8.9, 20.0, ("viscosity",), False),
+        # too little was explained for it to be worth the work, or nothing was added
+        (9.0, 12.0, ("viscosity",), False),
+        (9.0, 20.0, (), False),
+    ],
+)
+def test_the_default_grid_is_asked_where_the_coarse_one_may_have_all_that_is_left(
+    own: float, before: float, added: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
+    first, last = (step_of(assessment_of(r), spacing=1.7 * default()) for r in (before, 9.0))
+    last = replace(last, added=added, solution=solution_of(plain_belief(), evaluation_of(8100.0)))
+    assert grids.next_spacing(scene()[0], [first, last]) == (default() if asked else None)
+
+
+def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grids, "unabsorbed", lambda *_: 0.0)
+
     def seen_and_not(fit: float, predict: float) -> Step:
         ratio = {"a": {"fit": fit, "predict": predict}}
         return step_of(replace(assessment_of(1.0), ratio=ratio), spacing=1.7 * default())

@@ -41,6 +41,9 @@ SIGNIFICANT = 1e-3
 # Below this misfit [sigma] an effect is tried only where it is predicted to take this share of the excess,
 # and, short of this share of what the best takes, more than effects that do nothing.
 LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
+# Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
+# near the best one even then is not begun. What sets in has no tangents.
+TELLING, BEYOND_TANGENTS = 4.0, 3.0
 # An effect that leaves so many times the best one's chi^2 after an iteration is not followed.
 HOPELESS = 10.0
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
@@ -149,6 +152,10 @@ def refits_of(
     begun = []
     for entry in promising(ranking):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
+        least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
+        telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
+        if telling and least > ALIKE * best:
+            continue
         solution = start_refit(
             experiment, window[1], entry, spacing, share=window[0], hopeless=HOPELESS * best, report=say
         )

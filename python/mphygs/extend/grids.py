@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
+from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.extend.finer import finer
 from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
@@ -24,6 +25,9 @@ from mphygs.simulate.errors import SimulationError
 # On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
 # first model, may be the grid's own: the default grid is asked.
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
+# An effect that leaves less than this share of the excess is asked there as well where the grid may have all
+# that is left.
+LARGELY = 0.5
 # A misfit that a coarser grid has as well, within this factor, is looked for there.
 SAME_MISFIT = 1.3
 # The frames before something sets in, over those in which it was first seen.
@@ -49,7 +53,18 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
         first.assessment, label
     )
-    return default if small or last.assessment.worst < GROSS else None
+    if small or last.assessment.worst < GROSS:
+        return default
+    fell = last.added and excess(last.assessment, label) < LARGELY * excess(steps[-2].assessment, label)
+    return default if fell and grid_may_have(experiment, last) else None
+
+
+def grid_may_have(experiment: Experiment, step: Step) -> bool:
+    """Whether the step's grid may have all that the model leaves of the fitted frames: its own error there,
+    less what the materials take up, is as large."""
+    evaluation = step.solution.evaluation
+    own = unabsorbed(experiment, step.spacing, step.belief, evaluation)
+    return own**2 > evaluation.misfit**2 - 1.0
 
 
 def sets_in(step: Step) -> bool:
