@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import assessment_of, evaluation_of, excess_of, plain_belief, recorded, solution_of, step_of
+from extend_example import (
+    assessment_of,
+    evaluation_of,
+    excess_of,
+    plain_belief,
+    recorded,
+    solution_of,
+    step_of,
+)
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.extend import grids
 from mphygs.extend.step import Step
