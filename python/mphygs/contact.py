@@ -14,7 +14,7 @@ from mphygs.motion.contact import coarse_contact
 from mphygs.motion.pictures import write_contact_picture
 from mphygs.motion.stage_files import STAGES
 from mphygs.motion_stages import HOLD, contact_stage
-from mphygs.register import PICTURE, VideoOptions
+from mphygs.register import PICTURE, TracksOptions
 
 PROGRAM = "mphygs contact"
 _FROM = {
@@ -26,12 +26,10 @@ _FROM = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactOptions(VideoOptions):
+class ContactOptions(TracksOptions):
     """What is held, and its motion: the capture's own hold where it has one with poses, else from tracks and
     contact.json. A hold.npz of your own in RUN/stages/contact/SEQUENCE is kept and used."""
 
-    tracks: int = 2000
-    """Most tracks, as with mphygs track."""
     radius: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
     """How far about the contact the object is held [m]; default: as far as it moves rigidly."""
     estimate: bool = False
@@ -47,6 +45,7 @@ def contact_command(options: ContactOptions, console: Console) -> Answer:
     """The hold of every sequence; a picture of each."""
     if options.radius is not None and not options.radius > 0.0:
         raise OptionError(f"--radius: got {options.radius}; expected a length above 0 m")
+    count = options.count()
     console.resume = options.resume(PROGRAM)
     video_run = options.open()
     recordings = video_run.recordings(options.sequences)
@@ -60,7 +59,7 @@ def contact_command(options: ContactOptions, console: Console) -> Answer:
             video_run,
             recording,
             rule=options.rule(),
-            count=options.tracks,
+            count=count,
             radius=options.radius,
             estimate=options.estimate,
             report=report,

@@ -23,6 +23,7 @@ from mphygs.motion_stages import POSE, VideoRun, register_stage
 
 PROGRAM = "mphygs register"
 PICTURE = "picture.png"
+LEAST_TRACKS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +65,20 @@ class VideoOptions(CommonOptions):
             if value is not True:
                 words.append(shlex.quote(str(value)))
         return " ".join(words)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracksOptions(VideoOptions):
+    """Options of the commands that work on tracks."""
+
+    tracks: int = 2000
+    """Most tracks that are kept."""
+
+    def count(self) -> int:
+        """Most tracks that are kept. Raises OptionError."""
+        if self.tracks < LEAST_TRACKS:
+            raise OptionError(f"--tracks: got {self.tracks}; expected at least {LEAST_TRACKS}")
+        return self.tracks
 
 
 @dataclass(frozen=True, kw_only=True)

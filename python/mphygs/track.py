@@ -8,23 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mphygs.command import Answer, Console, OptionError, run
+from mphygs.command import Answer, Console, run
 from mphygs.motion.pictures import frames_shown, write_track_picture
 from mphygs.motion.stage_files import STAGES
 from mphygs.motion_stages import TRACKS, track_stage
-from mphygs.register import PICTURE, VideoOptions
+from mphygs.register import PICTURE, TracksOptions
 
 PROGRAM = "mphygs track"
-_LEAST_TRACKS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackOptions(VideoOptions):
+class TrackOptions(TracksOptions):
     """Follow the Gaussians of the object through its videos, frame by frame; go on where that was broken off.
     A tracks.npz of your own in RUN/stages/track/SEQUENCE is kept and used."""
-
-    tracks: int = 2000
-    """Most tracks that are kept."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,8 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def track_command(options: TrackOptions, console: Console) -> Answer:
     """Follow every sequence that was not followed yet; a picture of each."""
-    if options.tracks < _LEAST_TRACKS:
-        raise OptionError(f"--tracks: got {options.tracks}; expected at least {_LEAST_TRACKS}")
+    count = options.count()
     console.resume = options.resume(PROGRAM)
     video_run = options.open()
     recordings = video_run.recordings(options.sequences)
@@ -46,7 +41,7 @@ def track_command(options: TrackOptions, console: Console) -> Answer:
             console.progress((number + share) / len(recordings), text)
 
         tracks, followed = track_stage(
-            video_run, recording, rule=options.rule(), count=options.tracks, report=report
+            video_run, recording, rule=options.rule(), count=count, report=report
         )
         folder = options.out / STAGES / "track" / recording.name
         views = video_run.views(recording)

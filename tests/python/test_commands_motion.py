@@ -344,6 +344,8 @@ def test_a_radius_or_a_contact_that_says_nothing(
 ) -> None:
     code, _, err = call(contact.main, capture, *options(gaussians, run, "--radius", 0.0))
     assert code == 2 and "--radius: got 0.0; expected a length above 0 m" in err
+    code, _, err = call(contact.main, capture, *options(gaussians, run, "--tracks", 3))
+    assert code == 2 and "--tracks: got 3; expected at least 20" in err
     before = (run / "stages" / "contact" / "carried" / "hold.npz").read_bytes()
     code, _, err = call(contact.main, capture, *options(gaussians, run, "--tracks", 120, "--radius", 1e-4))
     last = err.strip().splitlines()[-1]
