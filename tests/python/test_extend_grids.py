@@ -224,7 +224,7 @@ def told(
 def test_only_a_grid_for_screening_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     coarse, fine = steps_told()
     near = step_of(assessment_of(2.0), spacing=coarse)
-    moved = step_of(assessment_of(1.5), spacing=fine)
+    moved = step_of(assessment_of(1.6), spacing=fine)
     assert told(monkeypatch, near, screening=True, after=moved) == [("grid", fine), "rough", "budget"]
     # A spacing that was asked for stays; its budget is told there.
     assert told(monkeypatch, near, screening=False) == ["budget"]
@@ -243,6 +243,10 @@ def test_what_is_far_more_than_the_grids_share_is_asked_no_finer_one(monkeypatch
     assert told(monkeypatch, step, screening=True, shares=(1e-4, 0.9e-4 * most)) == ["rough", "budget"]
     # A spacing that was asked for has no screening grid.
     assert told(monkeypatch, step, screening=False, shares=(1e-4, 1.1e-4 * most)) == ["budget"]
+    # So little is left that the floor test decides, with the share that a finer grid shows.
+    for worst, asked in ((1.45, ["budget"]), (1.55, ["rough"])):
+        step = step_of(assessment_of(worst), spacing=fine)
+        assert told(monkeypatch, step, screening=True, shares=(1e-4, 1.1e-4 * most)) == asked
 
 
 def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

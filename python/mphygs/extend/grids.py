@@ -36,8 +36,9 @@ BEFORE = 0.85
 LENDS = 1.3
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
-# What is left is not the grid's where it is so many times what a coarser grid shows of that.
-BEYOND = 3.0
+# What is left is not the grid's where it is so many times what a coarser grid shows of that, and above so
+# many sigma: less than that the floor test, which a rough share misleads, may excuse.
+BEYOND, CLEAR = 3.0, 1.5
 # Share of the cost that the last step of what is concluded may promise.
 LAST_DIGITS = 1e-5
 
@@ -300,7 +301,7 @@ def refined(
     fine = not screening or current.spacing < 1.1 * default_spacing(experiment.capture)
     if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
         return current
-    if screening:
+    if screening and current.assessment.worst > CLEAR:
         # What a coarser grid shows of it, at a tenth of the work, may say that it is far too little.
         rough = with_budget(experiment, current, beside=screening_spacing(experiment.capture))
         budget = rough.assessment.budget
