@@ -449,8 +449,13 @@ def test_rivals_are_compared_on_the_grid_of_the_best(monkeypatch: pytest.MonkeyP
 
 
 # ---- which refits are finished ----------------------------------------------------------------
-@pytest.mark.parametrize("pays", [True, False])
-def test_only_what_pays_sets_a_bound_for_others(pays: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("pays", "own", "bound"), [(True, 0.0, 400.0), (True, 2.0, 500.0), (False, 0.0, np.inf)]
+)
+def test_only_what_pays_sets_a_bound_for_others(
+    pays: bool, own: float, bound: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """own: the grid's error [sigma], within which nothing is told apart."""
     rows = 100
     chi_squares = {"base_motion": 400.0, "relaxation": 700.0}
     bounds: dict[str, float] = {}
@@ -469,11 +474,13 @@ def test_only_what_pays_sets_a_bound_for_others(pays: bool, monkeypatch: pytest.
 
     monkeypatch.setattr(discover, "start_refit", start_refit)
     monkeypatch.setattr(discover, "finish_refit", finish_refit)
+    monkeypatch.setattr(discover, "unabsorbed", lambda *_: own)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     current = step_of(assessment_of(5.0))
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4, rows)))
     refits_of(None, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
-    assert bounds["relaxation"] == (pytest.approx(discover.ALIKE * 400.0) if pays else np.inf)
+    assert bounds["base_motion"] == np.inf
+    assert bounds["relaxation"] == pytest.approx(discover.ALIKE * bound)
 
 
 def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:

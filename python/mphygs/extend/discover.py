@@ -9,7 +9,7 @@ import numpy as np
 
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
-from mphygs.diagnose.grid_error import allowance_of
+from mphygs.diagnose.grid_error import allowance_of, unabsorbed
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Entry, Ranking, rank
 from mphygs.extend.grids import onward, polished, probed, refined, with_budget
@@ -181,8 +181,6 @@ def refits_of(
         # What the coarse grid has of its own may put the true effect a little behind.
         if chi_square > (3.0 if number < FINISHED else NEARLY) * begun[0][0]:
             break
-        # What does not pay may have bought the fitted frames: it sets no bound.
-        best = min((r.solution.evaluation.chi_square for r in finished if r.pays), default=np.inf)
         result = finish_refit(
             experiment,
             current.solution,
@@ -192,7 +190,7 @@ def refits_of(
             spacing,
             generator=generator,
             accuracy=SCREENING_ACCURACY,
-            hopeless=ALIKE * max(best, solution.evaluation.data_rows),  # nothing is better than noise
+            hopeless=_hopeless(experiment, finished, spacing),
             report=say,
         )
         if result is not None:
@@ -202,6 +200,19 @@ def refits_of(
                 "in the worst range"
             )
     return finished
+
+
+def _hopeless(experiment: Experiment, finished: Sequence[Refit], spacing: float) -> float:
+    """chi^2 of the fitted frames above which no further refit is brought to the end."""
+    # What does not pay may have bought the fitted frames: it sets no bound.
+    paying = [r for r in finished if r.pays]
+    if not paying:
+        return np.inf
+    best = min(paying, key=lambda r: r.solution.evaluation.chi_square)
+    evaluation = best.solution.evaluation
+    # Nothing is better than noise, nor told apart within what the grid has of its own.
+    own = unabsorbed(experiment, spacing, best.belief, evaluation)
+    return ALIKE * max(evaluation.chi_square, evaluation.data_rows * (1.0 + own**2))
 
 
 def discover(
