@@ -129,10 +129,10 @@ def test_what_may_be_the_grids_own_is_followed_over_more_frames(
     def unabsorbed(_experiment: Frames, spacing: float, belief: Belief, _: object, *, share: float) -> float:
         assert spacing == SPACING and fitted_share(belief) == share
         asked.append(share)
-        return 1.8
+        return 3.6
 
     monkeypatch.setattr(window, "unabsorbed", unabsorbed)
-    # 1.64 sigma: 1.3 beyond noise; 2.255: 2.02, more than the grid may have.
+    # 1.64 sigma: 1.3 beyond noise; 2.255: 2.02, more than half of what the grid may have.
     assert look(Frames(growing(4.1)))[0] == 0.55 and asked == [0.4, 0.55]
     # All of it may be the grid's: as many frames as there are windows for.
     monkeypatch.setattr(window, "unabsorbed", lambda *_, **__: np.inf)

@@ -19,6 +19,8 @@ from mphygs.model.belief import Belief
 VISIBLE, TRACTABLE = 1.25, 4.0
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
 SHORTER = (0.16, 0.1, 0.06)
+# What is left is the grid's own where that may be so many times as much: of thin parts it says too much.
+OWN = 2.0
 # Of the frames of other recordings, seen from the model that explains the simplest ones.
 SEEN = 0.16
 
@@ -83,11 +85,11 @@ def tractable_window(
         return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
 
     def grids_own(share: float, solution: Solution) -> bool:
-        """Whether the grid's own error is as large as what is left there."""
+        """Whether all that is left there may well be the grid's own."""
         beyond = np.sqrt(max(ratio_of(solution.evaluation) ** 2 - 1.0, 0.0))
         own = unabsorbed(experiment, spacing, solution.belief, solution.evaluation, share=share)
         say(f"  beyond noise {beyond:.3g} sigma; the grid may have {own:.3g} of its own")
-        return own > beyond
+        return own > OWN * beyond
 
     shortest, beyond = fitted(WINDOWS[0], belief), WINDOWS[0]
     for share in SHORTER:
