@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mphygs.diagnose import grid_error
 from mphygs.diagnose.grid_error import BESIDE, allowance_of, unabsorbed
 from mphygs.simulate.errors import SimulationError
 
@@ -87,4 +86,3 @@ def test_no_other_grid_says_nothing(error: np.ndarray) -> None:
     evaluation = grids.evaluation(np.ones((error.size, 1)))
     assert unabsorbed(grids, SPACING, None, evaluation) == np.inf
     assert allowance_of(grids, SPACING, None, evaluation).directions is None
-    assert grid_error.MODULATIONS >= 1

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from mphygs.compare.allowance import Allowance, modulated_directions
+from mphygs.compare.assess import MODULATIONS
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
-MODULATIONS = 6
 # A grid so many times as fine, or as coarse, shows the discretisation's error.
 BESIDE = 1.5
 

@@ -48,7 +48,7 @@ def tractable_window(
 
     A model that lacks a strong effect buys the whole motion with absurd materials, and no tangent there says
     anything. Over its first frames the same model is nearly right: the window ends where the misfit is
-    clearly more than noise, and than what the grid may have of its own, but still small.
+    clearly more than noise, and may not well be the grid's own, but still small.
     """
     evaluation = current.solution.evaluation
 

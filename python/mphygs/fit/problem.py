@@ -65,7 +65,9 @@ class Problem:
     observations: Mapping[str, Observation]
     predictors: dict[str, Predictor] = field(default_factory=dict)
     substep: float | None = None
-    _known: list[tuple[Belief, dict[str, Observation], Evaluation]] = field(default_factory=list)
+    _known: list[tuple[Belief, dict[str, Observation], Evaluation]] = field(
+        default_factory=list, init=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         bodies: dict[bytes, object] = {}
