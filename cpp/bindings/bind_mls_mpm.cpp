@@ -71,6 +71,8 @@ void bind(py::module_& m, const char* name) {
              }),
              py::arg("geometry"), py::arg("settings"))
         .def_property_readonly("particle_count", &Model::particle_count)
+        .def_property(
+            "threads", [](const Model& self) { return self.settings().threads; }, &Model::set_threads)
         .def("largest_rates",
              [](const Model& self, const py::dict& fields, int iterations) {
                  const Fields<T> f = to_fields<T>(fields);

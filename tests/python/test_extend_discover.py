@@ -394,8 +394,12 @@ def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.Monk
     assert (found.added, found.ties) == (("viscosity",), ("wind",))
 
 
-def test_rivals_follow_to_a_grid_that_lent_tangents_reached(monkeypatch: pytest.MonkeyPatch) -> None:
-    went: list[tuple[float, float, float]] = []
+@pytest.mark.parametrize("left", [0.06, 0.03])
+def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
+    monkeypatch: pytest.MonkeyPatch, left: float
+) -> None:
+    """left: the rival's excess on the lender's grid, less what the grid changes."""
+    went: list[tuple[str, float]] = []
     # So much do materials cost that are not the best ones.
     costs = {5e4: 9.0, 6e4: 1.0}
 
@@ -404,14 +408,21 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(monkeypatch: pytest.
             assert not jacobian
             return SimpleNamespace(cost=costs[belief[KEY].value])
 
-    class Grids:
-        def problem(self, spacing: float) -> Problem:
-            assert spacing == 0.4 * SPACING
-            return Problem()
+    there = Problem()
+
+    def less_the_change(_experiment: object, best: Step) -> Problem:
+        assert best.lender == 0.5 * SPACING
+        return there
+
+    def carried_over(_experiment: object, problem: Problem, step: Step, best: Step, _report: object) -> Step:
+        assert problem is there
+        went.append(("carried over", step.belief[KEY].value))
+        return replace(step, spacing=best.spacing, lender=best.lender, assessment=excess_of(left))
 
     def lent(_experiment: object, step: Step, spacing: float, lender: float, _report: object) -> Step:
-        went.append((step.belief[KEY].value, spacing, lender))
-        return replace(step, spacing=spacing, lender=lender, assessment=excess_of(0.05))
+        assert (spacing, lender) == (0.4 * SPACING, 0.5 * SPACING)
+        went.append(("fitted", step.belief[KEY].value))
+        return replace(step, assessment=excess_of(0.045))
 
     def refined(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
         return replace(steps[-1], spacing=0.4 * SPACING, lender=0.5 * SPACING)
@@ -419,18 +430,26 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(monkeypatch: pytest.
     def at(step: Step, young: float) -> Step:
         return replace(step, belief=step.belief.with_parameter(KEY, value=young))
 
-    for name, function in {"refined": refined, "lent": lent}.items():
-        monkeypatch.setattr(settle, name, function)
-    best, rival = at(model("viscosity", 0.05, 2), 6e4), at(model("fibre", 0.06, 3), 5e4)
+    stand_ins = (less_the_change, carried_over, lent, refined)
+    for function in stand_ins:
+        monkeypatch.setattr(settle, function.__name__, function)
+    best, rival = at(model("viscosity", 0.05, 2), 6e4), at(model("fibre", 0.06, 2), 5e4)
     first = [step_of(assessment_of(20.0))]
-    found = settled(Grids(), first, best, [rival], None, screening=True)
+    found = settled(object(), first, best, [rival], None, screening=True)
     # It begins with the materials that the best one found there, where its own fit worse,
-    assert went == [(6e4, 0.4 * SPACING, 0.5 * SPACING)]
-    assert (found.added, found.ties) == (("viscosity",), ("fibre",))
+    assert went[0] == ("carried over", 6e4)
+    if left > 0.05:
+        assert len(went) == 1
+        assert (found.added, found.ties) == (("viscosity",), ("fibre",))
+    else:
+        # What could take the best one's place is fitted there itself,
+        assert went[1:] == [("fitted", 6e4)]
+        assert (found.added, found.ties) == (("fibre",), ("viscosity",))
     # and with its own, where they fit better.
     costs[5e4] = 0.5
-    settled(Grids(), first, best, [rival], None, screening=True)
-    assert went[1:] == [(5e4, 0.4 * SPACING, 0.5 * SPACING)]
+    went.clear()
+    settled(object(), first, best, [rival], None, screening=True)
+    assert went[0] == ("carried over", 5e4)
 
 
 def test_rivals_are_compared_on_the_grid_of_the_best(monkeypatch: pytest.MonkeyPatch) -> None:

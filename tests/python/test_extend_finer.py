@@ -10,14 +10,14 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
 from mphygs.extend import finer as module
-from mphygs.extend.finer import FINER, finer, lent
-from mphygs.extend.grids import polished
+from mphygs.extend.finer import FINER, carried_over, finer, lent, less_the_change
+from mphygs.extend.grids import complete, polished
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import borrowed
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.prediction import Prediction, Predictor, Settings
 
 FREE = ("part0.youngs_modulus",)
 COARSE = 0.01
@@ -68,6 +68,36 @@ def test_its_numbers_are_left_at_what_lent_tangents_lead_to() -> None:
     assert polished(experiment, after) is after
     again = lent(experiment, replace(after, belief=before.belief), FINE, COARSE)
     assert again.belief[FREE[0]].value == pytest.approx(after.belief[FREE[0]].value, rel=1e-3)
+
+
+def test_what_a_rival_owes_to_the_grid_is_taken_from_the_best_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, before = near()
+    best = finer(experiment, before)
+    damped = before.belief.with_effect("mass_damping", {"alpha": 1.0}).with_parameter(
+        "mass_damping.alpha", free=True
+    )
+    rival = replace(before, belief=damped, added=("mass_damping",))
+    fitted = lent(experiment, rival, FINE, COARSE)
+    spacings: list[float] = []
+    predict = Predictor.predict
+
+    def counted(self: Predictor, *given: object, **named: object) -> Prediction:
+        spacings.append(self.settings.spacing)
+        return predict(self, *given, **named)
+
+    monkeypatch.setattr(Predictor, "predict", counted)
+    carried = carried_over(experiment, less_the_change(experiment, best), rival, best)
+    assert spacings and set(spacings) == {COARSE}
+    assert (carried.spacing, carried.lender, carried.added) == (FINE, COARSE, ("mass_damping",))
+    assert carried.belief[FREE[0]].value == pytest.approx(fitted.belief[FREE[0]].value, rel=2e-3)
+    assert abs(fitted.belief[FREE[0]].value / before.belief[FREE[0]].value - 1.0) > 0.05
+    assert carried.assessment.worst == pytest.approx(fitted.assessment.worst, abs=0.02)
+    # Chosen all the same, it is compared on the finer grid itself.
+    whole = complete(experiment, carried)
+    assert FINE in spacings
+    assert whole.compared["a"].jacobian.shape[-1] == 2
+    there = experiment.compare(carried.belief, FINE, jacobian=False)["a"]
+    assert whole.compared["a"].predicted == pytest.approx(there.predicted)
 
 
 def test_the_best_that_was_tried_is_returned() -> None:

@@ -16,8 +16,9 @@ from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.step import Step
 from mphygs.extend.steps import left_out_of, step_at, step_document
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.model.belief import Belief
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.prediction import Predictor, Settings
 
 LEFT_OUT = 7  # frames of the first marker
 
@@ -60,6 +61,29 @@ def test_what_the_model_predicts_is_used_again() -> None:
     assert step_document(found, experiment, (FAULT,))["effects"] == ["viscosity"]
     # Asked again there is nothing left to admit.
     assert readmitted(experiment, found) is found
+
+
+def test_at_the_minimum_nothing_is_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, step = masked(effect=True)
+    whole = Experiment.of(experiment.capture, Settings(SPACING, workers=1))
+    belief = minimise(whole.problem(SPACING), step.belief, relative_tolerance=1e-6).belief
+    step = step_at(experiment, belief, SPACING, added=("viscosity",))
+
+    def run(*_: object, **__: object) -> None:
+        raise AssertionError("simulated")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Predictor, "predict", run)
+        found = readmitted(experiment, step)
+    assert found.belief is step.belief and found.dropped == (FAULT,)
+    anew = experiment.problem(SPACING).evaluate(found.belief)
+    assert found.solution.evaluation.residual == pytest.approx(anew.residual)
+    assert found.solution.evaluation.jacobian == pytest.approx(anew.jacobian)
+    # Away from it the fit goes on.
+    experiment, step = masked(effect=True)
+    away = step.belief.with_parameter("part0.youngs_modulus", value=6.3e4)
+    found = readmitted(experiment, step_at(experiment, away, SPACING, added=("viscosity",)))
+    assert found.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.01)
 
 
 def test_a_track_that_is_off_stays_out(monkeypatch: pytest.MonkeyPatch) -> None:

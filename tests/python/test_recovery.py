@@ -16,7 +16,7 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor, Settings
 
 SIGMA = 1e-4  # [m]
-SEEDS = 20
+SEEDS = 100
 SUBSTEP = 7e-4  # [s]
 # The first part's density is known: motion by weight and by a hold tells stiffness over density alone.
 TRUTH = {
@@ -73,7 +73,13 @@ def test_noisy_markers_give_every_parameter_within_two_standard_errors() -> None
         away.append((solution.belief.coordinates - truth.coordinates) / errors)
         costs.append(solution.evaluation.chi_square / (solution.evaluation.data_rows - len(TRUTH)))
     away = np.array(away)
-    assert (np.abs(away) < 2.0).mean() >= 19 / 20, away
+    # Of a normal error 95.4 % lie within two standard errors, 19 of 20. What five hundred may show by chance:
+    # of the five parameters three are independent (two pairs are tied by 0.98 and -0.96), so the share is
+    # known to 0.012 and 0.021 for one of them; twice that is allowed.
+    within = np.abs(away) < 2.0
+    assert within.mean() >= 0.954 - 2 * 0.012, away
+    assert (within.mean(0) >= 0.954 - 2 * 0.021).all(), away
     # Errors that are too large would pass that: they must be as large as what they stand for.
-    assert 0.8 < np.sqrt((away**2).mean()) < 1.2, away
+    assert 0.9 < np.sqrt((away**2).mean()) < 1.1, away
+    assert (np.abs(away.mean(0)) < 3.0 / SEEDS**0.5).all(), away
     assert 0.9 < np.mean(costs) < 1.1

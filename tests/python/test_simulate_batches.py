@@ -8,6 +8,7 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
 from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.simulate.prediction_gradient import predict_with_gradient
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -137,3 +138,22 @@ def test_threads_in_a_run_leave_no_trace(rest: str) -> None:
         assert np.array_equal(one.jacobian, seen[0].jacobian)
     for one in seen[3::2]:
         assert np.array_equal(one.position, seen[1].position)
+
+
+@pytest.mark.parametrize("transfer", ["total-lagrangian", "mls-mpm"])
+def test_threads_in_a_gradient_leave_no_trace(transfer: str) -> None:
+    capture = bar_capture(frames=6, fps=100.0, fit=(0, 6))
+    keys = ("part0.youngs_modulus", "part0.density")
+    belief = bar_belief(capture, youngs_modulus=6e4, free=keys).with_effect("viscosity", {"eta": 5.0})
+    seen = []
+    for workers in (1, 2, 3):
+        settings = Settings(0.01, workers=workers, transfer=transfer)
+        predictor = Predictor(capture, capture.sequences[0], settings)
+        assert predictor.workers == workers
+        found, slope = predict_with_gradient(predictor, belief, lambda p: p - p[:1], keys=keys, last=6)
+        assert predictor.model_of(belief).threads == workers
+        seen.append((found.position, slope))
+    assert np.abs(seen[0][1]).min() > 0.0
+    for position, slope in seen[1:]:
+        assert np.array_equal(position, seen[0][0])
+        assert np.array_equal(slope, seen[0][1])

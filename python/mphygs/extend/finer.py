@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from mphygs.compare.assess import Compared
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import borrowed, told
+from mphygs.fit.levenberg_marquardt import borrowed, minimise, told
+from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -53,6 +56,64 @@ def lent(
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     return step.refitted(solution, compared, assessment, spacing=spacing, lender=lender, beside=None)
+
+
+def _change(best: Step) -> dict[str, np.ndarray]:
+    """How a step's prediction changes from the lender's grid to its own, (T, M, 3) [m] of every sequence."""
+    whole = (best.lender / best.spacing) ** 2 - 1.0
+    return {name: whole * item.refinement for name, item in best.compared.items()}
+
+
+def less_the_change(experiment: Experiment, best: Step) -> Problem:
+    """The fit on the grid that lent a step its Jacobians, to what was measured less how that step's
+    prediction changes from there to its own grid."""
+    problem, change = experiment.problem(best.lender), _change(best)
+    moved = {
+        name: replace(experiment.observations[name], position=experiment.observations[name].position - by)
+        for name, by in change.items()
+    }
+    return Problem(problem.capture, problem.settings, problem.ranges, moved, problem.predictors)
+
+
+def carried_over(
+    experiment: Experiment,
+    problem: Problem,
+    rival: Step,
+    best: Step,
+    report: Callable[[str], None] | None = None,
+) -> Step | None:
+    """A rival on the finer grid of the best step, as far as that step's change from grid to grid tells.
+
+    problem: see `less_the_change`. What two models that explain the same motion owe to a grid is much the
+    same, so that no run on the finer one is needed. The comparison is without tangents. None where the rival
+    cannot be simulated.
+    """
+    lender, change = best.lender, _change(best)
+    say = report or (lambda _text: None)
+    say(f"{', '.join(rival.added)} on {1e3 * lender:.3g} mm, less what the grid changes")
+    try:
+        solution = minimise(
+            problem,
+            rival.belief,
+            iterations=ITERATIONS,
+            relative_tolerance=ACCURACY,
+            report=told(report, f"{1e3 * lender:.3g} mm"),
+        )
+        compared = experiment.compare(solution.belief, lender, jacobian=False)
+    except SimulationError as error:
+        say(f"grid of {1e3 * lender:.3g} mm: {error}")
+        return None
+    compared = {
+        name: replace(
+            item, predicted=item.predicted + change[name], refinement=best.compared[name].refinement
+        )
+        for name, item in compared.items()
+    }
+    assessment = experiment.assess(compared)
+    say(f"{rival.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    return rival.refitted(
+        solution, compared, assessment, spacing=best.spacing, lender=lender, beside=None
+    )
 
 
 def compared_by(

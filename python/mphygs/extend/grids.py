@@ -9,7 +9,7 @@ from dataclasses import replace
 from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import unabsorbed
-from mphygs.extend.finer import finer
+from mphygs.extend.finer import compared_by, finer
 from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import EXPLAINED, Step, compared_again, excess, known_budget
@@ -243,7 +243,10 @@ def complete(experiment: Experiment, step: Step) -> Step:
     """The step with the tangents of its prediction, which the floor test takes and rivals go without."""
     if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
         return step
-    compared = compared_again(experiment, step, step.belief)
+    if step.lender is None:
+        compared = compared_again(experiment, step, step.belief)
+    else:
+        compared = compared_by(experiment, step.belief, step.spacing, step.lender)
     return replace(step, compared=compared, assessment=experiment.assess(compared))
 
 
@@ -261,7 +264,7 @@ def with_budget(
     """
     coarse = beside if beside is not None and beside > LENDS * step.spacing else None
     try:
-        compared = experiment.compare(step.belief, step.spacing, refine=True, beside=coarse)
+        compared = experiment.with_refinement(step.compared, step.belief, step.spacing, beside=coarse)
     except SimulationError:
         return step if coarse is None else with_budget(experiment, step, report)
     assessment = experiment.assess(compared)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.extend.finer import lent
+from mphygs.extend.finer import carried_over, lent, less_the_change
 from mphygs.extend.grids import complete, on_grid, refined
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.problem import Problem
 from mphygs.simulate.errors import SimulationError
 
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
@@ -46,7 +47,7 @@ def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float)
 def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
     """Of those that do as well as the best the one with fewest parameters, and the rest."""
     same = [best, *(r for r in rivals if r.spacing == best.spacing and does_alike(r, best))]
-    chosen = min(same, key=lambda step: (len(step.belief.free), excess(step.assessment)))
+    chosen = min(same, key=_order)
     return chosen, [step for step in (best, *rivals) if step is not chosen]
 
 
@@ -57,18 +58,33 @@ def _beside(
     hopeless = ALIKE**0.5 * best.solution.evaluation.misfit
     if best.lender is None:
         return on_grid(experiment, rival, best.spacing, report, hopeless=hopeless, tangents=False)
-    nearest = _nearest(experiment, rival, best)
-    return nearest and lent(experiment, nearest, best.spacing, best.lender, report)
+    problem = less_the_change(experiment, best)
+    nearest = _nearest(problem, rival, best)
+    moved = nearest and carried_over(experiment, problem, nearest, best, report)
+    if moved is None or not _may_lead(moved, best):
+        return moved
+    return lent(experiment, moved, best.spacing, best.lender, report)
 
 
-def _nearest(experiment: Experiment, rival: Step, best: Step) -> Step | None:
+def _may_lead(rival: Step, best: Step) -> bool:
+    """Whether a rival could take the best step's place."""
+    if not does_alike(best, rival):
+        return not _takes_the_grids(best, rival)
+    return does_alike(rival, best) and _order(rival) < _order(best)
+
+
+def _order(step: Step) -> tuple[int, float]:
+    """Of models that do alike the one with fewest parameters comes first, then the one that explains most."""
+    return len(step.belief.free), excess(step.assessment)
+
+
+def _nearest(problem: Problem, rival: Step, best: Step) -> Step | None:
     """The rival with its own materials or with those that the best step found on its finer grid, whichever
-    fit better there; None where neither can be simulated."""
+    fit better; None where neither can be simulated."""
     belief, found = rival.belief, {p.key: p.value for p in best.belief.parameters}
     for p in rival.belief.parameters:
         if p.free and p.key in found and p.key.split(".")[0] not in rival.added:
             belief = belief.with_parameter(p.key, value=min(max(found[p.key], p.lower), p.upper))
-    problem = experiment.problem(best.spacing)
     costs = []
     for start in (rival.belief, belief):
         try:
@@ -120,7 +136,6 @@ def settled(
     if beaten and not _takes_the_grids(best, alike[0]):
         best, alike = alike[0], [best, *alike[1:]]
     tied = [best, *(r for r in alike if does_alike(r, best))]
-    # Of models that do alike the one with fewest parameters comes first.
-    tied.sort(key=lambda step: (len(step.belief.free), excess(step.assessment)))
+    tied.sort(key=_order)
     chosen = replace(tied[0], refits=tried, ties=tuple(r.added[0] for r in tied[1:]))
     return complete(experiment, chosen)

@@ -175,7 +175,7 @@ class Experiment:
         """Prediction beside measurement of every sequence at a fitted belief.
 
         refine: whether the discretisation's share is asked for; beside: spacing of the grid that shows it
-        [m], None for a finer one.
+        [m], None for a finer one (see `with_refinement`).
         """
         out = {}
         for name in self.compared_names(names):
@@ -189,22 +189,43 @@ class Experiment:
             keys = [p.key for p in known.free] if jacobian else []
             prediction = predictor.predict(known, last=last, keys=keys)
             total = predictor.recording.frames
-            refinement = None
-            if refine:
-                other = spacing / REFINEMENT if beside is None else beside
-                moved = self.predictor(name, other).predict(known, last=last).position - prediction.position
-                # Richardson: the whole error is the change over 1 - r^2, r the ratio of the spacings.
-                refinement = _full(moved / (1.0 - (other / spacing) ** 2), total)
-            out[name] = Compared(
+            item = Compared(
                 self.observations[name],
                 _full(prediction.position, total),
                 _full(prediction.jacobian, total),
                 predictor.attachment.part,
                 fit,
                 predict,
-                refinement,
             )
+            out[name] = self._refined(name, item, known, spacing, beside) if refine else item
         return out
+
+    def with_refinement(
+        self,
+        compared: Mapping[str, Compared],
+        belief: Belief,
+        spacing: float,
+        *,
+        beside: float | None = None,
+    ) -> dict[str, Compared]:
+        """What a belief was compared as on a grid, and the discretisation's share of it.
+
+        beside: spacing of the grid that shows it [m], None for a finer one.
+        """
+        return {
+            name: self._refined(name, item, self.with_release(belief, name, spacing), spacing, beside)
+            for name, item in compared.items()
+        }
+
+    def _refined(
+        self, name: str, item: Compared, belief: Belief, spacing: float, beside: float | None
+    ) -> Compared:
+        other = spacing / REFINEMENT if beside is None else beside
+        last = item.frames[1]
+        moved = self.predictor(name, other).predict(belief, last=last).position - item.predicted[:last]
+        # Richardson: the whole error is the change over 1 - r^2, r the ratio of the spacings.
+        whole = 1.0 - (other / spacing) ** 2
+        return replace(item, refinement=_full(moved / whole, len(item.predicted)))
 
     def assess(self, compared: Mapping[str, Compared]) -> Assessment:
         """The statistics of a comparison."""

@@ -18,6 +18,8 @@ from mphygs.simulate.errors import SimulationError
 
 # Of the present substep: no single step of the optimiser may shorten it more.
 SHORTEST_SUBSTEP = 0.4
+# Marquardt's damping of the first step, in units of the diagonal.
+FIRST_DAMPING = 1e-3
 # Steps between two Jacobians, each of which costs as much as nine motions or more; a step has to bring these
 # shares of what was promised: for another after it, and to be taken at all.
 SECANTS, TRUSTED, TAKEN = 3, 0.3, 0.05
@@ -248,7 +250,7 @@ def minimise(
         )
     current = problem.evaluate(belief)
     history = [current.cost]
-    damping, reason, converged = 1e-3, "iterations used up", False
+    damping, reason, converged = FIRST_DAMPING, "iterations used up", False
 
     def worth(evaluation: Evaluation) -> float:
         return _worth(evaluation, tolerance, relative_tolerance)
@@ -305,6 +307,18 @@ def minimise(
         if report:
             report(iteration, current, belief)
     return Solution(belief, current, tuple(history), converged, reason)
+
+
+def at_minimum(
+    belief: Belief, evaluation: Evaluation, *, tolerance: float = 0.05, relative_tolerance: float = 1e-4
+) -> bool:
+    """Whether another step promises too little to be taken (see `minimise`). evaluation: with Jacobian."""
+    normal = evaluation.jacobian.T @ evaluation.jacobian
+    gradient = evaluation.jacobian.T @ evaluation.residual
+    diagonal = np.maximum(np.diag(normal), 1e-12)
+    step = _bounded_step(belief, normal + FIRST_DAMPING * np.diag(diagonal), gradient)
+    promised = -float(gradient @ step + 0.5 * step @ normal @ step)
+    return promised < _worth(evaluation, tolerance, relative_tolerance)
 
 
 def covariance(evaluation: Evaluation) -> np.ndarray:

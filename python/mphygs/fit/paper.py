@@ -100,7 +100,10 @@ class _Batch:
 
         workers = min(self.problem.settings.workers, len(self.windows))
         # A rest shape that is solved for keeps one factorisation, which windows share.
-        if workers > 1 and belief.prestress != "equilibrium":
+        side_by_side = workers > 1 and belief.prestress != "equilibrium"
+        for window in self.windows:
+            window.predictor.workers = 1 if side_by_side else self.problem.settings.workers
+        if side_by_side:
             with ThreadPoolExecutor(workers) as pool:
                 found = list(pool.map(work, self.windows))
         else:

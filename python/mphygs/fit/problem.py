@@ -107,35 +107,56 @@ class Problem:
         for known, observed, evaluation in self._known:
             if known is belief and all(observed[name] is used[name] for name in used):
                 return evaluation
-        free = belief.free
-        keys = tuple(p.key for p in free) if jacobian else ()
-        residuals, jacobians, rows, positions, substeps, count = [], [], {}, {}, 0, 0
-        for name, (first, last) in self.ranges.items():
-            prediction = self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep)
-            observation = self.observations[name]
-            window = slice(first, last)
-            whitener = observation.whitener(first, last)
-            difference = np.nan_to_num(observation.position[window] - prediction.position[window])
-            residuals.append(whitener.whiten(difference))
-            if jacobian:
-                jacobians.append(-whitener.whiten(prediction.jacobian[window]))
-            rows[name] = slice(count, count + len(residuals[-1]))
-            count += len(residuals[-1])
-            positions[name] = prediction.position
-            substeps += prediction.substeps
-        prior, prior_slope = self.prior_rows(belief)
-        residual = np.concatenate([*residuals, prior])
-        full = np.zeros((len(residual), len(free)))
-        if jacobian and jacobians:
-            full[:count] = np.concatenate(jacobians)
-        full[count:] = prior_slope
-        if not np.isfinite(residual).all():
-            raise SimulationError("the prediction is not finite")
-        priors = len(free) + len(belief.likenesses)
-        evaluation = Evaluation(residual, full, count, priors, rows, positions, substeps)
+        keys = tuple(p.key for p in belief.free) if jacobian else ()
+        predictions = {
+            name: self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep)
+            for name, (_, last) in self.ranges.items()
+        }
+        evaluation = self.evaluated(
+            belief,
+            {name: prediction.position for name, prediction in predictions.items()},
+            {name: prediction.jacobian for name, prediction in predictions.items()} if jacobian else None,
+            substeps=sum(prediction.substeps for prediction in predictions.values()),
+        )
         if jacobian:
             self._known = [*self._known[1 - KEPT :], (belief, used, evaluation)]
         return evaluation
+
+    def evaluated(
+        self,
+        belief: Belief,
+        positions: Mapping[str, np.ndarray],
+        jacobians: Mapping[str, np.ndarray] | None,
+        *,
+        substeps: int = 0,
+    ) -> Evaluation:
+        """Residuals and Jacobian at a belief whose prediction is known.
+
+        positions: sequence -> (T, M, 3) [m], from the first frame to the last of its range or beyond;
+        jacobians: (T, M, 3, P) by the free coordinates, None for zeros. Raises SimulationError where a
+        prediction is not finite.
+        """
+        residuals, slopes, rows, count = [], [], {}, 0
+        for name, (first, last) in self.ranges.items():
+            observation = self.observations[name]
+            window = slice(first, last)
+            whitener = observation.whitener(first, last)
+            difference = np.nan_to_num(observation.position[window] - positions[name][window])
+            residuals.append(whitener.whiten(difference))
+            if jacobians is not None:
+                slopes.append(-whitener.whiten(jacobians[name][window]))
+            rows[name] = slice(count, count + len(residuals[-1]))
+            count += len(residuals[-1])
+        prior, prior_slope = self.prior_rows(belief)
+        residual = np.concatenate([*residuals, prior])
+        full = np.zeros((len(residual), len(belief.free)))
+        if slopes:
+            full[:count] = np.concatenate(slopes)
+        full[count:] = prior_slope
+        if not np.isfinite(residual).all():
+            raise SimulationError("the prediction is not finite")
+        priors = len(belief.free) + len(belief.likenesses)
+        return Evaluation(residual, full, count, priors, rows, dict(positions), substeps)
 
     def prior_rows(self, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (R,) of the priors and of the stated mass, and their Jacobian (R, P)."""

@@ -50,7 +50,7 @@ class ForcedSequence:
     def model(self, belief: Belief) -> object:
         """The compiled model, all workers sharing its runs."""
         model = self.predictor.model_of(belief)
-        self.predictor.transfer.share(model, self.predictor.settings.workers)
+        self.predictor.transfer.share(model, self.predictor.workers)
         return model
 
     def timeline(self, belief: Belief) -> Timeline:

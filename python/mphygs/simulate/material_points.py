@@ -37,7 +37,7 @@ class MaterialPoints(Transfer):
         return self.body.grid
 
     def share(self, model: object, threads: int) -> None:
-        """Its runs take a thread each: several go side by side."""
+        model.threads = threads
 
     def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
         kind = _core.MlsMpmFloat32 if self.settings.number == np.float32 else _core.MlsMpmFloat64

@@ -55,6 +55,8 @@ class Predictor:
         """body: of an earlier predictor with the same holds and settings, to be shared. Raises ValueError for
         an unknown transfer, or where a hold or the spacing does not suit the object."""
         self.capture, self.recording, self.settings = capture, recording, settings
+        # Cores that its runs share; one where several predictions run side by side.
+        self.workers = max(1, settings.workers)
         if settings.transfer not in TRANSFERS:
             raise ValueError(f"transfer '{settings.transfer}': expected one of {', '.join(TRANSFERS)}")
         particles = settings.transfer == MLS
@@ -276,12 +278,12 @@ class Predictor:
             model = self.model_of(belief)
             fields = self.inputs(belief, timeline, start)
             hook = self._hook(belief, fields)
-            self.transfer.share(model, self.settings.workers)
+            self.transfer.share(model, self.workers)
             return self.transfer.simulate(model, fields, timeline.schedule, progress, hook), []
         for owner, _ in owned:
             check_effects(self.settings.transfer, owner.effects)
         # As few runs as there can be, side by side; what threads are left share each run's work.
-        largest, workers = self.transfer.batch, max(1, self.settings.workers)
+        largest, workers = self.transfer.batch, self.workers
         runs = min(workers, -(-len(owned) // largest)) if self.transfer.shares else workers
         changes = self.changes(belief, owned, timeline, start)
         batches = batches_of(

@@ -58,6 +58,7 @@ def _through_simulation(
     model = predictor.model_of(belief)
     fields = predictor.inputs(belief, timeline, start)
     hook = predictor._hook(belief, fields)
+    transfer.share(model, predictor.workers)
     run = (model, fields, timeline.schedule)
     # A marker that turns needs the motion itself: the derivative of its rotation depends on it.
     states = transfer.simulate(*run, None, hook) if carriers.turning.any() else None

@@ -77,6 +77,8 @@ class MlsMpm {
     std::size_t particle_count() const { return geometry_.particle_count(); }
     const MlsGeometry& geometry() const { return geometry_; }
     const MlsSettings& settings() const { return settings_; }
+    /// Threads that share a run from now on; not to be changed while one is under way.
+    void set_threads(int threads) { settings_.threads = threads; }
 
     ParticleTrajectory<T> simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress = {}) const;
 
