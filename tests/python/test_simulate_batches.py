@@ -9,6 +9,7 @@ from bar_capture import bar_belief, bar_capture
 from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.prediction_gradient import predict_with_gradient
+from mphygs.simulate.settings import TRANSFERS
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -140,7 +141,7 @@ def test_threads_in_a_run_leave_no_trace(rest: str) -> None:
         assert np.array_equal(one.position, seen[1].position)
 
 
-@pytest.mark.parametrize("transfer", ["total-lagrangian", "mls-mpm"])
+@pytest.mark.parametrize("transfer", TRANSFERS)
 def test_threads_in_a_gradient_leave_no_trace(transfer: str) -> None:
     capture = bar_capture(frames=6, fps=100.0, fit=(0, 6))
     keys = ("part0.youngs_modulus", "part0.density")
