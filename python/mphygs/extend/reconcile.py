@@ -17,6 +17,7 @@ from mphygs.extend.grids import lender_of
 from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import told
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
@@ -46,13 +47,16 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
     say = report or (lambda _text: None)
     whole = on_all_frames(experiment)
     belief = step.belief
+    say("fitting to all frames")
     try:
         for name in whole.fitted:
             belief = experiment.with_release(belief, name, step.spacing)
             whole.predictor(name, step.spacing)
         lender = lender_of(whole, step.spacing)
         problem = whole.problem(step.spacing)
-        solution = fit_what_sets_in(problem, belief, iterations=ITERATIONS, lender=lender)
+        solution = fit_what_sets_in(
+            problem, belief, iterations=ITERATIONS, lender=lender, report=told(report, "all frames")
+        )
         compared = whole.compare(solution.belief, step.spacing, refine=True)
     except SimulationError:
         return step
