@@ -151,35 +151,41 @@ def made_step(belief: Belief) -> Step:
 
 
 # ---- what is not computed twice ---------------------------------------------------------------
-def test_an_evaluation_with_its_jacobian_is_kept_for_the_next_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_prediction_with_its_jacobian_is_kept_for_the_next_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     _, belief = three_recordings()
     shared = experiment().only(["plain"])
     problem = shared.problem(SPACING)
     predictor, runs = problem.predictors["plain"], []
-    predict = predictor.predict
+    run = predictor._runs
 
-    def counted(*args: object, **options: object) -> object:
-        runs.append(options["keys"])
-        return predict(*args, **options)
+    def counted(*args: object) -> object:
+        runs.append([p.key for _, p in args[1]])
+        return run(*args)
 
-    monkeypatch.setattr(predictor, "predict", counted)
+    monkeypatch.setattr(predictor, "_runs", counted)
     # One without Jacobian is no substitute.
     alone = problem.evaluate(belief, jacobian=False)
     known = problem.evaluate(belief)
-    assert runs == [(), FREE] and np.array_equal(known.residual, alone.residual)
-    assert problem.evaluate(belief) is known and problem.evaluate(belief, jacobian=False) is known
+    assert runs == [[], list(FREE)] and np.array_equal(known.residual, alone.residual)
+    again, less = problem.evaluate(belief), problem.evaluate(belief, jacobian=False)
+    assert np.array_equal(again.jacobian, known.jacobian) and np.array_equal(less.residual, known.residual)
+    assert not less.jacobian[: less.data_rows].any()
+    # A comparison of the same frames, and what is asked beside other observations, needs no run either.
+    assert shared.compare(belief, SPACING)["plain"].jacobian.any()
+    observation = shared.observations["plain"]
+    shared.observations["plain"] = replace(observation, position=observation.position + 1e-3)
+    assert problem.evaluate(belief).cost > known.cost + 1.0
     assert len(runs) == 2
-    # Another belief, the first frames, other observations: computed.
+    # Another belief, the first frames: computed.
     stiffer = belief.with_parameter(FREE[0], value=7e4)
     assert not np.array_equal(problem.evaluate(stiffer).residual, known.residual)
     assert len(shared.window(SPACING, 0.5).evaluate(belief).residual) < len(known.residual)
     assert len(runs) == 4
-    observation = shared.observations["plain"]
-    shared.observations["plain"] = replace(observation, position=observation.position + 1e-3)
-    moved = problem.evaluate(belief)
-    assert len(runs) == 5 and moved.cost > known.cost + 1.0
     # The latest few are kept.
     for factor in (1.1, 1.2, 1.3):
         problem.evaluate(belief.with_parameter(FREE[0], value=factor * 6e4))
+    problem.evaluate(belief)
+    assert len(runs) == 8
+    predictor.forget()
     problem.evaluate(belief)
     assert len(runs) == 9

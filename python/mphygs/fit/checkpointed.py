@@ -19,7 +19,7 @@ def _forget(experiment: Experiment) -> None:
     """Drop what rest shapes remember of their last solution: the next stage begins as after a resume."""
     for problem in experiment.problems.values():
         for predictor in problem.predictors.values():
-            predictor.transfer.forget()
+            predictor.forget()
 
 
 def fit_run(

@@ -14,8 +14,6 @@ from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
 
-# Evaluations with their Jacobians that are kept: one fit ends where the next begins.
-KEPT = 3
 # Relative accuracy to which a stated mass of the whole object is held.
 MASS_TOLERANCE = 2e-3
 
@@ -65,9 +63,6 @@ class Problem:
     observations: Mapping[str, Observation]
     predictors: dict[str, Predictor] = field(default_factory=dict)
     substep: float | None = None
-    _known: list[tuple[Belief, dict[str, Observation], Evaluation]] = field(
-        default_factory=list, init=False, repr=False
-    )
 
     def __post_init__(self) -> None:
         bodies: dict[bytes, object] = {}
@@ -98,29 +93,21 @@ class Problem:
         return min(self.predictors[name].stable_substep(belief) for name in self.ranges)
 
     def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
-        """Residuals (measured - predicted, whitened) and their Jacobian; those of the same belief and
-        observations as just before are not computed again.
+        """Residuals (measured - predicted, whitened) and their Jacobian.
 
         Raises SimulationError where a run is unstable or the rest shape cannot be solved for.
         """
-        used = {name: self.observations[name] for name in self.ranges}
-        for known, observed, evaluation in self._known:
-            if known is belief and all(observed[name] is used[name] for name in used):
-                return evaluation
         keys = tuple(p.key for p in belief.free) if jacobian else ()
         predictions = {
             name: self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep)
             for name, (_, last) in self.ranges.items()
         }
-        evaluation = self.evaluated(
+        return self.evaluated(
             belief,
             {name: prediction.position for name, prediction in predictions.items()},
             {name: prediction.jacobian for name, prediction in predictions.items()} if jacobian else None,
             substeps=sum(prediction.substeps for prediction in predictions.values()),
         )
-        if jacobian:
-            self._known = [*self._known[1 - KEPT :], (belief, used, evaluation)]
-        return evaluation
 
     def evaluated(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,9 @@ from mphygs.simulate.timeline import Timeline, poses_of, timeline_of
 from mphygs.simulate.total_lagrangian import TotalLagrangian
 from mphygs.simulate.transfer import Start, Transfer
 from mphygs.simulate.user_effects import forces_of
+
+# Predictions with their derivatives that are kept: one fit ends where the next begins, or a comparison.
+KEPT = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,12 @@ class Predictor:
         self.transfer: Transfer = (MaterialPoints if particles else TotalLagrangian)(body, settings)
         if recording.markers is not None:
             self.attachment = body.attach(recording.markers.at)
+        self._kept: list[tuple[Belief, int, float | None, Prediction]] = []
+
+    def forget(self) -> None:
+        """Drop what earlier runs left, so that what follows does not depend on them to the last bit."""
+        self.transfer.forget()
+        self._kept = []
 
     @property
     def body(self) -> Body:
@@ -211,7 +220,8 @@ class Predictor:
         start: Start | None = None,
         progress: Callable[[int], bool] | None = None,
     ) -> Prediction:
-        """Positions of the markers in frames 0..last-1, and derivatives.
+        """Positions of the markers in frames 0..last-1, and derivatives; those of the same belief, keys and
+        frames as shortly before are not computed again.
 
         keys: parameters of the belief to differentiate by; candidates: parameters of other beliefs, each
         this one plus an effect at its null, to differentiate by as well (they share the same motion);
@@ -220,6 +230,10 @@ class Predictor:
         have.
         """
         last = self.recording.frames if last is None else last
+        whole = start is None and not candidates
+        known = self._known(belief, last, substep, tuple(keys)) if whole else None
+        if known is not None:
+            return known
         dt = substep or self.stable_substep(belief)
         timeline = self.timeline(belief, last, dt, start)
         wanted = [(belief, belief[key]) for key in keys] + list(candidates)
@@ -235,9 +249,22 @@ class Predictor:
         times = timeline.frames / self.recording.fps
         position, velocity, jacobian = measured(belief, wanted, times, position, velocity, jacobian)
         names = tuple(p.key for _, p in wanted)
-        return Prediction(
+        prediction = Prediction(
             timeline.frames, position, velocity, jacobian, names, timeline.substeps, timeline.longest
         )
+        if whole and names:
+            self._kept = [*self._kept[1 - KEPT :], (belief, last, substep, prediction)]
+        return prediction
+
+    def _known(
+        self, belief: Belief, last: int, substep: float | None, keys: tuple[str, ...]
+    ) -> Prediction | None:
+        """One of the latest predictions with derivatives, where it is the one that is asked for."""
+        for of, until, step, prediction in self._kept:
+            if of is belief and (until, step) == (last, substep) and keys in ((), prediction.keys):
+                bare = replace(prediction, jacobian=prediction.jacobian[..., :0], keys=())
+                return prediction if keys else bare
+        return None
 
     def states(self, belief: Belief, timeline: Timeline, start: Start | None = None) -> tuple:
         """Displacement [m] and velocity [m/s] of all carriers at the run's frames, (S, N, 3) each."""
