@@ -78,6 +78,8 @@ class TotalLagrangian {
 
   private:
     template <class U, int K>
+    friend class TotalLagrangianForces;
+    template <class U, int K>
     friend class TotalLagrangianRun;
     template <class U>
     friend class TotalLagrangianReverse;
