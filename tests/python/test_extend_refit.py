@@ -13,6 +13,7 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, entry_of, recorded, refit_of
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
+from mphygs.compare.autoregression import Autoregression
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry
 from mphygs.extend import refit
@@ -206,6 +207,26 @@ def test_the_gain_counts_unseen_frames_alone() -> None:
     assert gain.gain == pytest.approx(0.5 * (4.0 - 1.0) * count, rel=1e-6)
     # The same gain in every frame: nothing for the bootstrap to vary, and blocks enough of two frames each.
     assert gain.block_count == 8 and gain.low == pytest.approx(gain.gain) and gain.accepted
+    assert gain.plain == pytest.approx(3.0, rel=1e-6)
+    assert unseen_gain(after, before, np.random.default_rng(0)).plain == pytest.approx(-3.0, rel=1e-6)
+
+
+def test_a_likelihood_that_gains_while_the_motion_is_further_off_does_not_pay() -> None:
+    compared, _ = truth_compared()
+    item = compared["a"]
+    noise = item.observation.noise
+    lasting = replace(noise, correlated_share=np.array(1.0), correlation=Autoregression((0.9,)))
+    item = replace(item, observation=replace(item.observation, noise=lasting))
+    first, last = item.predict
+    sigma = item.observation.sigma
+    trembling, drifting = (item.observation.position.copy() for _ in range(2))
+    trembling[first:last:2] += sigma
+    drifting[first:last] += 1.2 * sigma
+    before, after = ({"a": replace(item, predicted=p)} for p in (trembling, drifting))
+    gain = unseen_gain(before, after, np.random.default_rng(0))
+    # A tremble is nothing like such noise; a lasting error is, however far off.
+    assert gain.low > 0.0
+    assert gain.plain == pytest.approx(0.5 - 1.44) and not gain.accepted
 
 
 def test_no_gain_where_too_few_frames_were_left_out() -> None:

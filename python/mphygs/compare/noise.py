@@ -26,7 +26,7 @@ class Observation:
     position: np.ndarray
     noise: NoiseModel
     weight: np.ndarray
-    _whiteners: dict = field(default_factory=dict, repr=False)
+    _whiteners: dict = field(default_factory=dict, init=False, repr=False)
 
     @property
     def observed(self) -> np.ndarray:

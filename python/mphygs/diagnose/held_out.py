@@ -20,17 +20,21 @@ MINIMUM_BLOCKS = 4
 
 @dataclass(frozen=True)
 class GainInterval:
-    """Log-likelihood gain on unseen observations. gain: its sum; low, high: the bootstrap interval."""
+    """Log-likelihood gain on unseen observations. gain: its sum; low, high: the bootstrap interval; plain: by
+    how much the plain mean square falls, averaged over recordings [sigma^2], None where it is not known."""
 
     gain: float
     low: float
     high: float
     block_count: int
+    plain: float | None = None
 
     @property
     def accepted(self) -> bool:
-        """Whether the whole interval lies above 0: only then is the effect kept."""
-        return self.low > 0.0
+        """Whether the whole interval lies above 0, and the error in metres falls with it: where noise hangs
+        together, slow errors hardly count in a likelihood, and a gain there may be paid with a motion that is
+        further off. Only then is the effect kept."""
+        return self.low > 0.0 and (self.plain is None or self.plain > 0.0)
 
 
 def gain_interval(

@@ -228,4 +228,13 @@ def unseen_gain(
         blocks = a.sequence[unseen] * 100_000 + a.frame[unseen] // 2
     if len(np.unique(blocks)) < 4:
         return None
-    return gain_interval(a.residual[unseen], b.residual[unseen], blocks, generator=generator)
+    gain = gain_interval(a.residual[unseen], b.residual[unseen], blocks, generator=generator)
+    falls = [_unseen_square(before[name]) - _unseen_square(after[name]) for name in before]
+    return replace(gain, plain=float(np.nanmean(falls)))
+
+
+def _unseen_square(item: Compared) -> float:
+    """Mean square of the distance in unseen frames, per coordinate [sigma^2]; NaN where there are none."""
+    window = slice(*item.predict)
+    apart = (item.observation.position[window] - item.predicted[window])[item.observation.observed[window]]
+    return float(np.mean(apart**2)) / item.observation.sigma**2 if len(apart) else np.nan
