@@ -16,7 +16,7 @@ from mphygs.diagnose.outliers import bad_observations
 from mphygs.extend.finer import ACCURACY, lent
 from mphygs.extend.step import Step, compared_again
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import at_minimum, minimise
+from mphygs.fit.levenberg_marquardt import minimise, still_at_minimum
 from mphygs.fit.problem import Problem
 from mphygs.simulate.errors import SimulationError
 
@@ -66,8 +66,8 @@ def _refitted(experiment: Experiment, step: Step, report: Callable[[str], None] 
     problem = experiment.problem(step.spacing)
     here = _as_it_is(experiment, step, problem)
     accuracy = REFITTED if step.lender is None else ACCURACY
-    if here is not None and at_minimum(
-        step.belief, here.solution.evaluation, relative_tolerance=accuracy
+    if here is not None and still_at_minimum(
+        step.belief, step.solution.evaluation, here.solution.evaluation, relative_tolerance=accuracy
     ):
         return here
     if step.lender is not None:

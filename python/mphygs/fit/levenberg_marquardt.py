@@ -309,16 +309,30 @@ def minimise(
     return Solution(belief, current, tuple(history), converged, reason)
 
 
-def at_minimum(
-    belief: Belief, evaluation: Evaluation, *, tolerance: float = 0.05, relative_tolerance: float = 1e-4
-) -> bool:
-    """Whether another step promises too little to be taken (see `minimise`). evaluation: with Jacobian."""
+def promise(belief: Belief, evaluation: Evaluation) -> float:
+    """The fall of the cost that another step promises. evaluation: of the belief, with its Jacobian."""
     normal = evaluation.jacobian.T @ evaluation.jacobian
     gradient = evaluation.jacobian.T @ evaluation.residual
     diagonal = np.maximum(np.diag(normal), 1e-12)
     step = _bounded_step(belief, normal + FIRST_DAMPING * np.diag(diagonal), gradient)
-    promised = -float(gradient @ step + 0.5 * step @ normal @ step)
-    return promised < _worth(evaluation, tolerance, relative_tolerance)
+    return -float(gradient @ step + 0.5 * step @ normal @ step)
+
+
+def still_at_minimum(
+    belief: Belief,
+    before: Evaluation,
+    now: Evaluation,
+    *,
+    tolerance: float = 0.05,
+    relative_tolerance: float = 1e-4,
+) -> bool:
+    """Whether a belief that a fit led to would stay where it is beside other measurements (see `minimise`).
+
+    before, now: its evaluations, with Jacobian. Where that is of another grid it promises what cannot be had,
+    before and now.
+    """
+    more = promise(belief, now) - promise(belief, before)
+    return more < _worth(now, tolerance, relative_tolerance)
 
 
 def covariance(evaluation: Evaluation) -> np.ndarray:
