@@ -15,6 +15,7 @@ from mphygs.extend.prune import anew, pruned
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at, step_document
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
 
@@ -62,6 +63,26 @@ def test_what_is_needed_stays() -> None:
     said: list[str] = []
     assert pruned(experiment, last, ["gravity"], said.append) is last
     # It is far off after the first iterations: the rest of them, and the comparison, are saved.
+    assert said[-1].endswith("given up")
+
+
+def test_a_coarse_grid_leads_as_far_as_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lender(experiment: Experiment, spacing: float) -> Problem:
+        assert spacing == SPACING
+        return experiment.problem(1.5 * SPACING)
+
+    monkeypatch.setattr(prune, "lender_of", lender)
+    experiment, _, last = both(0.0)
+    assert pruned(experiment, last, ["gravity"]).belief.effects == ("viscosity",)
+
+    def own(*_: object, **__: object) -> None:
+        raise AssertionError("a Jacobian of its own")
+
+    # What is needed is far off there already.
+    monkeypatch.setattr(prune, "minimise", own)
+    experiment, _, last = both(TILT)
+    said: list[str] = []
+    assert pruned(experiment, last, ["gravity"], said.append) is last
     assert said[-1].endswith("given up")
 
 
