@@ -249,9 +249,10 @@ def rollout_windows(
 ) -> tuple[States, ...]:
     """States of every window at its frames, the initial one included.
 
-    model: a compiled model, which holds the memory budget of the adjoint. Of a TotalLagrangianFloat32 or
-    Float64 the states are node displacement (F + 1, N, 3) [m] and velocity (F + 1, N, 3) [m/s]; of an
-    MlsMpmFloat32 or Float64 particle position [m], velocity [m/s] and deformation (F + 1, N, 3, 3);
+    model: a compiled model, which holds the memory budget of the adjoint and how many threads share a run
+    (`model.threads`). Of a TotalLagrangianFloat32 or Float64 the states are node displacement (F + 1, N, 3)
+    [m] and velocity (F + 1, N, 3) [m/s]; of an MlsMpmFloat32 or Float64 particle position [m], velocity
+    [m/s] and deformation (F + 1, N, 3, 3);
     shared: fields of all windows, named as in FIELD_NAMES, in the model's precision; workers: windows run
     side by side; user: effects in Python. Differentiable by every field and by the user's parameters,
     backward and forward; torch.func.jacfwd carries all directions in one run. The result does not depend on
