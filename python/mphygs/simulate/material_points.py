@@ -37,7 +37,11 @@ class MaterialPoints(Transfer):
         return self.body.grid
 
     def share(self, model: object, threads: int) -> None:
-        model.threads = threads
+        """Its runs take a thread each: several go side by side.
+
+        Threads of one run meet some ten times a substep, and where another process wants a core they wait for
+        each other: two took ten times as long as one. Who has the machine alone sets `model.threads`.
+        """
 
     def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
         kind = _core.MlsMpmFloat32 if self.settings.number == np.float32 else _core.MlsMpmFloat64
