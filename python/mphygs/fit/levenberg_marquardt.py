@@ -68,6 +68,11 @@ def _bounded_step(belief: Belief, normal: np.ndarray, gradient: np.ndarray) -> n
     return step
 
 
+def _promised(normal: np.ndarray, gradient: np.ndarray, step: np.ndarray) -> float:
+    """The fall of the cost that a step would bring, were the residual linear."""
+    return -float(gradient @ step + 0.5 * step @ normal @ step)
+
+
 def _secant(
     jacobian: np.ndarray, before: np.ndarray, after: np.ndarray, step: np.ndarray, scale: np.ndarray
 ) -> np.ndarray:
@@ -102,7 +107,7 @@ def _follow_secants(
         gradient = jacobian.T @ reached.residual
         diagonal = np.maximum(np.diag(normal), 1e-12)
         step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
-        promised = -float(gradient @ step + 0.5 * step @ normal @ step)
+        promised = _promised(normal, gradient, step)
         if promised < worth(reached) or (logs.any() and np.abs(step[logs]).max() > longest_step):
             break
         ahead = belief.at(belief.coordinates + step)
@@ -269,7 +274,7 @@ def minimise(
             logs = np.array([p.log for p in belief.free])
             if logs.any() and np.abs(step[logs]).max() > longest_step:
                 step *= longest_step / np.abs(step[logs]).max()
-            promised = -float(gradient @ step + 0.5 * step @ normal @ step)
+            promised = _promised(normal, gradient, step)
             if largest == 0.0 or promised < worth(current):
                 converged, reason = True, "converged"
                 break
@@ -280,7 +285,7 @@ def minimise(
                     break
                 step = 0.5 * step
                 trial_belief = belief.at(belief.coordinates + step)
-            promised = -float(gradient @ step + 0.5 * step @ normal @ step)
+            promised = _promised(normal, gradient, step)
             try:
                 trial = problem.evaluate(trial_belief, jacobian=False)
             except SimulationError:
@@ -313,9 +318,8 @@ def promise(belief: Belief, evaluation: Evaluation) -> float:
     """The fall of the cost that another step promises. evaluation: of the belief, with its Jacobian."""
     normal = evaluation.jacobian.T @ evaluation.jacobian
     gradient = evaluation.jacobian.T @ evaluation.residual
-    diagonal = np.maximum(np.diag(normal), 1e-12)
-    step = _bounded_step(belief, normal + FIRST_DAMPING * np.diag(diagonal), gradient)
-    return -float(gradient @ step + 0.5 * step @ normal @ step)
+    step = _bounded_step(belief, normal + FIRST_DAMPING * np.diag(np.diag(normal)), gradient)
+    return _promised(normal, gradient, step)
 
 
 def still_at_minimum(
