@@ -16,6 +16,7 @@ from mphygs.compare.noise import observe
 from mphygs.fit import paper
 from mphygs.fit.__main__ import main as fit
 from mphygs.fit.paper_plan import PaperStage, check_windows, paper_plan, window_frames
+from mphygs.fit.problem import Problem
 from mphygs.fit.window_start import start_at
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
@@ -133,6 +134,27 @@ def test_windows_find_youngs_modulus_from_far_off(transfer: str, monkeypatch: py
     assert solution.belief.free[0].value == pytest.approx(1e5, rel=0.01)
     assert solution.evaluation.jacobian.any()
     assert any("3 windows of 5 frames: iteration 20 of 25" in line for line in told)
+
+
+def test_windows_side_by_side_take_a_core_each_and_give_them_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture, belief, one = swing(TRANSFERS[0])
+    observations = {"a": observe(one.recording, one.attachment)}
+    problem = Problem(capture, one.settings, {"a": (0, 16)}, observations, {"a": one})
+    batch = paper._Batch.of(problem, PaperStage("", 0.01, 5, 3, 15))
+    seen: list[int] = []
+    through = paper.predict_with_gradient
+
+    def counted(predictor: Predictor, *given: object, **named: object) -> object:
+        seen.append(predictor.workers)
+        return through(predictor, *given, **named)
+
+    monkeypatch.setattr(paper, "predict_with_gradient", counted)
+    batch.measure(belief)
+    assert seen == [1, 1, 1] and one.workers == 2
+    # One window has all cores to itself.
+    whole = paper._Batch.of(problem, PaperStage("", 0.01, None, 1, 16))
+    whole.measure(belief)
+    assert seen[3:] == [2]
 
 
 def test_the_command_resumes_to_the_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

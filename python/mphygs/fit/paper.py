@@ -100,12 +100,16 @@ class _Batch:
 
         workers = min(self.problem.settings.workers, len(self.windows))
         # A rest shape that is solved for keeps one factorisation, which windows share.
-        side_by_side = workers > 1 and belief.prestress != "equilibrium"
-        for window in self.windows:
-            window.predictor.workers = 1 if side_by_side else self.problem.settings.workers
-        if side_by_side:
-            with ThreadPoolExecutor(workers) as pool:
-                found = list(pool.map(work, self.windows))
+        if workers > 1 and belief.prestress != "equilibrium":
+            shared = {window.predictor: window.predictor.workers for window in self.windows}
+            try:
+                for predictor in shared:
+                    predictor.workers = 1
+                with ThreadPoolExecutor(workers) as pool:
+                    found = list(pool.map(work, self.windows))
+            finally:
+                for predictor, cores in shared.items():
+                    predictor.workers = cores
         else:
             found = [work(window) for window in self.windows]
         residual, jacobian = self.problem.prior_rows(belief)

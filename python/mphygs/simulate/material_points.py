@@ -39,8 +39,8 @@ class MaterialPoints(Transfer):
     def share(self, model: object, threads: int) -> None:
         """Its runs take a thread each: several go side by side.
 
-        Threads of one run meet some ten times a substep, and where another process wants a core they wait for
-        each other: two took ten times as long as one. Who has the machine alone sets `model.threads`.
+        Threads of one run wait for each other several times a substep; where another process wants a core,
+        that takes far longer than one thread alone. `model.threads` is there for who has the machine alone.
         """
 
     def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:

@@ -262,8 +262,9 @@ class Predictor:
         """One of the latest predictions with derivatives, where it is the one that is asked for."""
         for of, until, step, prediction in self._kept:
             if of is belief and (until, step) == (last, substep) and keys in ((), prediction.keys):
-                bare = replace(prediction, jacobian=prediction.jacobian[..., :0], keys=())
-                return prediction if keys else bare
+                if keys:
+                    return prediction
+                return replace(prediction, jacobian=prediction.jacobian[..., :0], keys=())
         return None
 
     def states(self, belief: Belief, timeline: Timeline, start: Start | None = None) -> tuple:

@@ -3,7 +3,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cstring>
 
 #include "mphygs/transfers/total_lagrangian.hpp"
 
@@ -105,6 +104,7 @@ class TotalLagrangianForces {
             }
         }
     }
+
     /// The forces of a chunk's points on its nodes, kept beside those of the others.
     void chunk_forces(std::size_t index, double time, double dt) {
         const auto& chunk = model_.chunks_[index];

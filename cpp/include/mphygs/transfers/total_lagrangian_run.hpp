@@ -1,6 +1,7 @@
 // One run of the total-Lagrangian transfer: the step of the nodes, forward and tangent.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "mphygs/constraint.hpp"
