@@ -11,7 +11,6 @@ namespace {
 template <class T, int K>
 std::vector<ParticleTrajectory<T>> roll(const MlsMpm<T>& model, const Inputs<T, K>& inputs, int wanted, const Schedule& schedule,
                                         const Progress& progress) {
-    MlsMpmRun<T, K> run(model, inputs, schedule);
     const std::size_t count = model.particle_count(), frames = schedule.steps.size() + 1;
     std::vector<ParticleTrajectory<T>> result(static_cast<std::size_t>(wanted) + 1);
     for (auto& r : result) {
@@ -19,24 +18,27 @@ std::vector<ParticleTrajectory<T>> roll(const MlsMpm<T>& model, const Inputs<T, 
         r.velocity.resize(frames * 3 * count);
         r.deformation.resize(frames * 9 * count);
     }
-    const auto keep = [&](std::size_t frame) {
-        for (std::size_t l = 0; l < result.size(); ++l) {
-            run.output(static_cast<int>(l), &result[l].position[frame * 3 * count], &result[l].velocity[frame * 3 * count],
-                       &result[l].deformation[frame * 9 * count]);
-        }
-    };
-    keep(0);
-    run.begin();
-    for (int n = 0; n < run.table().count(); ++n) {
-        run.step(n);
-        if (run.table().is_frame(n + 1)) {
-            const int frame = run.table().frame_of_state(n + 1);
-            keep(static_cast<std::size_t>(frame));
-            if (progress && !progress(frame)) {
-                throw SimulationError("interrupted");
+    Team::run(model.settings().threads, [&](Team& team) {
+        MlsMpmRun<T, K> run(model, inputs, schedule, team);
+        const auto keep = [&](std::size_t frame) {
+            for (std::size_t l = 0; l < result.size(); ++l) {
+                run.output(static_cast<int>(l), &result[l].position[frame * 3 * count], &result[l].velocity[frame * 3 * count],
+                           &result[l].deformation[frame * 9 * count]);
+            }
+        };
+        keep(0);
+        run.begin();
+        for (int n = 0; n < run.table().count(); ++n) {
+            run.step(n);
+            if (run.table().is_frame(n + 1)) {
+                const int frame = run.table().frame_of_state(n + 1);
+                keep(static_cast<std::size_t>(frame));
+                if (progress && !progress(frame)) {
+                    throw SimulationError("interrupted");
+                }
             }
         }
-    }
+    });
     return result;
 }
 

@@ -3,20 +3,34 @@
 
 namespace mphygs {
 
+namespace {
+
+template <class T>
+Fields<T> gradient_of(const MlsMpm<T>& model, int threads, const Fields<T>& fields, const Schedule& schedule,
+                      const typename MlsMpm<T>::Loss& loss, bool keep, const Progress& progress, long* recomputed) {
+    Fields<T> result;
+    Team::run(threads, [&](Team& team) {
+        MlsMpmReverse<T> reverse(model, fields, schedule, team);
+        result = reverse.gradient(loss, keep, progress, recomputed);
+    });
+    return result;
+}
+
+}  // namespace
+
 template <class T>
 Fields<T> MlsMpm<T>::adjoint(const Fields<T>& fields, const Schedule& schedule, const ParticleTrajectory<T>& bar,
                              const Progress& progress, long* recomputed) const {
     check(fields, schedule);
-    MlsMpmReverse<T> reverse(*this, fields, schedule);
-    return reverse.gradient([&](const ParticleTrajectory<T>&) { return bar; }, false, progress, recomputed);
+    return gradient_of(*this, settings_.threads, fields, schedule, [&](const ParticleTrajectory<T>&) { return bar; }, false, progress,
+                       recomputed);
 }
 
 template <class T>
 Fields<T> MlsMpm<T>::gradient(const Fields<T>& fields, const Schedule& schedule, const Loss& loss, const Progress& progress,
                               long* recomputed) const {
     check(fields, schedule);
-    MlsMpmReverse<T> reverse(*this, fields, schedule);
-    return reverse.gradient(loss, true, progress, recomputed);
+    return gradient_of(*this, settings_.threads, fields, schedule, loss, true, progress, recomputed);
 }
 
 #define MPHYGS_INSTANTIATE(T)                                                                                              \

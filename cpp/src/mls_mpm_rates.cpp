@@ -23,7 +23,8 @@ std::array<double, 2> MlsMpm<T>::largest_rates(const Fields<T>& fields, int iter
     model.check(value, schedule);
     Inputs<T, 1> inputs;
     inputs.primal = &value;
-    MlsMpmRun<T, 1> run(model, inputs, schedule);
+    Team alone;
+    MlsMpmRun<T, 1> run(model, inputs, schedule, alone);
     std::array<double, 2> result{0, 0};
     const bool damped = sites_.rate || sites_.body || sites_.surface || sites_.point;
     for (std::size_t kind = 0; kind < (damped ? 2 : 1); ++kind) {

@@ -117,8 +117,9 @@ def test_what_is_passed_over_out_of_reach_of_a_wall_adds_nothing(count: int) -> 
         assert near.jacobian[..., k] == pytest.approx(slope, abs=1e-9 * np.abs(slope).max())
 
 
+@pytest.mark.parametrize("transfer", TRANSFERS)
 @pytest.mark.parametrize("rest", ["stress-free", "equilibrium"])
-def test_threads_in_a_run_leave_no_trace(rest: str) -> None:
+def test_threads_in_a_run_leave_no_trace(rest: str, transfer: str) -> None:
     shake = 0.01 * np.sin(np.linspace(0.0, 6.0, 10))[:, None] * [0.3, 1.0, 0.4]
     capture = bar_capture(frames=10, fps=100.0, fit=(0, 10), rest=rest, motion=shake, lengths=(0.05, 0.05))
     mode = "equilibrium" if rest == "equilibrium" else "off"
@@ -127,7 +128,7 @@ def test_threads_in_a_run_leave_no_trace(rest: str) -> None:
     belief = belief.with_effect("viscosity", {"eta": 5.0}).with_effect("air_drag", {"c_d": 2.0})
     seen = []
     for workers in (1, 2, 3):
-        settings = Settings(0.005, workers=workers, dtype="float32")
+        settings = Settings(0.005, workers=workers, dtype="float32", transfer=transfer)
         predictor = Predictor(capture, capture.sequences[0], settings)
         seen.append(predictor.predict(belief, keys=[p.key for p in belief.free]))
         alone = predictor.predict(belief)
@@ -153,11 +154,7 @@ def test_threads_in_a_gradient_leave_no_trace(transfer: str) -> None:
         assert predictor.workers == workers
         found, slope = predict_with_gradient(predictor, belief, lambda p: p - p[:1], keys=keys, last=6)
         model = predictor.model_of(belief)
-        if predictor.transfer.shares:
-            assert model.threads == workers
-        model.threads = workers
-        again = predict_with_gradient(predictor, belief, lambda p: p - p[:1], keys=keys, last=6)
-        assert np.array_equal(again[1], slope)
+        assert model.threads == workers
         seen.append((found.position, slope))
     assert np.abs(seen[0][1]).min() > 0.0
     for position, slope in seen[1:]:

@@ -9,9 +9,11 @@
 #include <sched.h>
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
-#include <exception>
 #include <memory>
+#include <thread>
+#include <vector>
 
 #include "mphygs/parallel.hpp"
 
@@ -41,7 +43,8 @@ class Team {
         }
     }
 
-    /// Runs body(team) on the calling thread while threads - 1 others help; what it throws comes back.
+    /// Runs body(team) on the calling thread while threads - 1 others help; what it throws comes back. The others
+    /// are no OpenMP region's, so that a body may call what opens one of its own, a loss in torch, say.
     template <class F>
     static void run(int threads, F&& body) {
         Team team;
@@ -49,29 +52,14 @@ class Team {
             body(team);
             return;
         }
-        std::exception_ptr failure;
         team.threads_ = threads;
         team.queues_ = std::make_unique<Queue[]>(index(threads));
-#pragma omp parallel num_threads(threads)
-        {
-            if (omp_get_thread_num() == 0) {
-                try {
-                    body(team);
-                } catch (...) {
-                    failure = std::current_exception();
-                }
-                team.over_.store(true, std::memory_order_release);
-            } else {
-                const int own = omp_get_thread_num();
-                for (int spins = 0; !team.over_.load(std::memory_order_acquire);) {
-                    spins = team.take(own, spins >= polite) ? 0 : spins + 1;
-                    pause(spins);
-                }
-            }
+        std::vector<std::jthread> others;
+        const Over over{team.over_};  // also where a thread cannot be had, and before the others are joined
+        for (int own = 1; own < threads; ++own) {
+            others.emplace_back([&team, own] { team.help(own); });
         }
-        if (failure) {
-            std::rethrow_exception(failure);
-        }
+        body(team);
     }
 
   private:
@@ -79,12 +67,26 @@ class Team {
     // Pauses before a thread takes what is another's, which that one may be about to do, and before it lets
     // others than the team run.
     static constexpr int polite = 60, patience = 200;
+    // And before it sleeps: the body is at something of its own.
+    static constexpr int bored = 20000;
 
     /// Round, number of items of all threads, and next item of this one, in one word: who takes an item knows
     /// which round's it is.
     struct alignas(64) Queue {
         std::atomic<std::uint64_t> ticket{0};
     };
+
+    struct Over {
+        std::atomic<bool>& flag;
+        ~Over() { flag.store(true, std::memory_order_release); }
+    };
+
+    void help(int own) {
+        for (int spins = 0; !over_.load(std::memory_order_acquire);) {
+            spins = take(own, spins >= polite) ? 0 : spins + 1;
+            pause(spins);
+        }
+    }
 
     static std::size_t index(int t) { return static_cast<std::size_t>(t); }
 
@@ -112,6 +114,10 @@ class Team {
 
     static void pause(int spins) {
         if (spins == 0) {
+            return;
+        }
+        if (spins >= bored) {
+            std::this_thread::sleep_for(std::chrono::microseconds(100));
             return;
         }
         if (spins >= patience) {

@@ -35,14 +35,14 @@ def batches_of(
     changes: Sequence[dict[str, np.ndarray]],
     *,
     largest: int,
-    workers: int,
 ) -> list[Batch]:
-    """Share parameters out to runs.
+    """Share parameters out to as few runs as there can be, alike in size: whoever runs them, the same bits.
 
     base: fields of the belief; owned: parameters, each with the belief that has it: this one plus effects at
     their null; changes: of the fields by each; largest: parameters to a run.
     """
-    size = min(largest, -(-len(owned) // max(1, min(workers, len(owned)))))
+    runs = -(-len(owned) // largest)
+    size = -(-len(owned) // runs)
     # Parameters that need the same effects share a run; others do not pay the rest of an effect's cost.
     order = sorted(range(len(owned)), key=lambda i: core_effects(owned[i][0]))
     own = set(core_effects(belief))

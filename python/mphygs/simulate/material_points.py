@@ -36,13 +36,6 @@ class MaterialPoints(Transfer):
     def grid_body(self) -> Body:
         return self.body.grid
 
-    def share(self, model: object, threads: int) -> None:
-        """Its runs take a thread each: several go side by side.
-
-        Threads of one run wait for each other several times a substep; where another process wants a core,
-        that takes far longer than one thread alone. `model.threads` is there for who has the machine alone.
-        """
-
     def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
         kind = _core.MlsMpmFloat32 if self.settings.number == np.float32 else _core.MlsMpmFloat64
         points = self.body.geometry["points"]

@@ -311,12 +311,10 @@ class Predictor:
         for owner, _ in owned:
             check_effects(self.settings.transfer, owner.effects)
         # As few runs as there can be, side by side; what threads are left share each run's work.
-        largest, workers = self.transfer.batch, self.workers
-        runs = min(workers, -(-len(owned) // largest)) if self.transfer.shares else workers
+        workers = self.workers
         changes = self.changes(belief, owned, timeline, start)
-        batches = batches_of(
-            belief, self.body, self._material(belief, start), owned, changes, largest=largest, workers=runs
-        )
+        base = self._material(belief, start)
+        batches = batches_of(belief, self.body, base, owned, changes, largest=self.transfer.batch)
         imposed = self._imposed(belief, timeline)
         # Models are made here, one after the other: caches are not shared between threads.
         models = [self.model(batch.active, batch.spots, belief.law) for batch in batches]

@@ -22,7 +22,6 @@ class TotalLagrangian(Transfer):
     """State on the nodes of a grid that is fixed to the rest shape."""
 
     batch = 8
-    shares = True
 
     @property
     def grid_body(self) -> Body:
@@ -37,9 +36,6 @@ class TotalLagrangian(Transfer):
             threads=1,
             memory_budget=self.settings.memory_budget,
         )
-
-    def share(self, model: object, threads: int) -> None:
-        model.threads = threads
 
     def _plain(self) -> object:
         """A model that knows the nodes and their weights."""

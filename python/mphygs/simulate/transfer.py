@@ -34,22 +34,20 @@ class Start:
 class Transfer(ABC):
     """One object under one set of holds, discretised for one of the core's transfers.
 
-    batch: directions that the core carries at once in one run; shares: whether threads can share one run's
-    work. Its carriers are what the core's trajectory is given at: N nodes or particles.
+    batch: directions that the core carries at once in one run. Its carriers are what the core's trajectory is
+    given at: N nodes or particles.
     """
 
     batch: int
-    shares: bool = False
-
-    @abstractmethod
-    def share(self, model: object, threads: int) -> None:
-        """Let so many threads share the work of the model's next runs, where they can; not while one is under
-        way."""
 
     def __init__(self, body: Body, settings: Settings) -> None:
         self.body, self.settings = body, settings
         self._models: dict = {}
         self.forget()
+
+    def share(self, model: object, threads: int) -> None:
+        """Let so many threads share the work of the model's next runs; not while one is under way."""
+        model.threads = threads
 
     def forget(self) -> None:
         """Drop what the rest shape remembers of its last solution."""

@@ -13,8 +13,10 @@ struct ParticlePoint {
     Vec3<S> v;  // [m/s]
     Mat3<S> c;  // [1/s]
     Mat3<S> f;  // [-]
+    Vec3<S> u;  // x less that at rest [m]
 };
 
+/// The twelve numbers as they are kept: u stands in x, F - I in f.
 template <class T, int K>
 inline ParticlePoint<PackScalar<T, K>> load_moving(const T* moving, std::size_t size, std::size_t p) {
     ParticlePoint<PackScalar<T, K>> r;
@@ -26,6 +28,35 @@ inline ParticlePoint<PackScalar<T, K>> load_moving(const T* moving, std::size_t 
         }
     }
     return r;
+}
+/// F from F - I.
+template <class S>
+inline Mat3<S> with_identity(Mat3<S> f) {
+    for (int i = 0; i < 3; ++i) {
+        f.e[i][i] = f.e[i][i] + constant<S>(1);
+    }
+    return f;
+}
+/// x from u.
+template <class T, int K>
+inline Vec3<PackScalar<T, K>> placed(const MlsOrder<T>& order, std::size_t p, Vec3<PackScalar<T, K>> u) {
+    for (std::size_t c = 0; c < 3; ++c) {
+        auto& x = lane_of(u[static_cast<int>(c)], 0);
+        x = x + load<T>(&order.rest[slot_of(c, rest_numbers, p)]);
+    }
+    return u;
+}
+/// From the numbers as they are kept to x, u and F.
+template <class T, int K>
+inline void complete(const MlsOrder<T>& order, std::size_t p, ParticlePoint<PackScalar<T, K>>& point) {
+    point.u = point.x;
+    point.x = placed<T, K>(order, p, point.u);
+    point.f = with_identity(point.f);
+}
+/// F - I a substep later: h C F more.
+template <class S>
+inline Mat3<S> strained(const Mat3<S>& f_less_identity, const Mat3<S>& c, const S& h) {
+    return f_less_identity + h * (c + c * f_less_identity);
 }
 template <class T, int K>
 inline void store_moving(T* moving, std::size_t size, std::size_t p, const ParticlePoint<PackScalar<T, K>>& point) {
@@ -143,7 +174,7 @@ class MlsForces {
         if (order.held[first / lane_count]) {
             each_held(order, first, [&](int lane, std::size_t hold, std::size_t id) {
                 for (int c = 0; c < 3; ++c) {
-                    put<T, K>(velocity[c], lane, held_velocity(hold, id, c, pick<T, K>(p.x[c], lane)));
+                    put<T, K>(velocity[c], lane, held_velocity(hold, id, c, pick<T, K>(p.u[c], lane)));
                 }
             });
         }
@@ -186,9 +217,9 @@ class MlsForces {
     T relaxation() const { return static_cast<T>(1.0 / model_.settings_.hold_relaxation) / dt_; }
 
     /// What the velocity of a hold's particles is made of at this substep: the rows of the motion
-    /// until the next one, and of the place now, counted from the anchor.
+    /// until the next one, and of the displacement now.
     struct HoldMotion {
-        U moved[3][4], place[3][4];
+        U moved[3][4], displaced[3][4];
     };
     HoldMotion hold_motion(std::size_t hold) const {
         HoldMotion m;
@@ -196,22 +227,22 @@ class MlsForces {
         for (std::size_t c = 0; c < 3; ++c) {
             for (std::size_t k = 0; k < 4; ++k) {
                 const std::size_t at = k < 3 ? 3 * c + k : 9 + c;
-                m.place[c][k] = inputs_.plain(&Fields<T>::pose, now + at);
-                m.moved[c][k] = (inputs_.plain(&Fields<T>::pose, next + at) - m.place[c][k]) / dt_;
+                m.displaced[c][k] = inputs_.plain(&Fields<T>::pose, now + at);
+                m.moved[c][k] = (inputs_.plain(&Fields<T>::pose, next + at) - m.displaced[c][k]) / dt_;
             }
-            m.place[c][3] = m.place[c][3] - static_cast<T>(model_.anchor_[c]);
+            m.displaced[c][c] = m.displaced[c][c] - T(1);
         }
         return m;
     }
 
-    /// v = (x_n+1 - x_n)/dt + (x_n - x)/(kappa dt), x_n the particle's place under the hold's motion.
-    U held_velocity(std::size_t hold, std::size_t id, int c, const U& x) const {
+    /// v = (u_n+1 - u_n)/dt + (u_n - u)/(kappa dt), u_n the particle's displacement under the hold's motion.
+    U held_velocity(std::size_t hold, std::size_t id, int c, const U& u) const {
         const double* rest = &model_.geometry_.points[3 * id];
         const U* moved = holds_[hold].moved[c];
-        const U* place = holds_[hold].place[c];
-        U now = place[3] - x, velocity = moved[3];
+        const U* displaced = holds_[hold].displaced[c];
+        U now = displaced[3] - u, velocity = moved[3];
         for (int k = 0; k < 3; ++k) {
-            now += place[k] * static_cast<T>(rest[k]);
+            now += displaced[k] * static_cast<T>(rest[k]);
             velocity += moved[k] * static_cast<T>(rest[k]);
         }
         return velocity + now * relaxation();

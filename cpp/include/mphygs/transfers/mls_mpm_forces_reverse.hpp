@@ -55,7 +55,7 @@ class MlsForcesReverse {
         if (order.held[first / lane_count]) {
             forces_.each_held(order, first, [&](int lane, std::size_t hold, std::size_t id) {
                 for (int c = 0; c < 3; ++c) {
-                    velocity[c][lane] = forces_.held_velocity(hold, id, c, point.x[c][lane]);
+                    velocity[c][lane] = forces_.held_velocity(hold, id, c, point.u[c][lane]);
                     reverse_held(hold, id, c, velocity_bar[c][lane], sums);
                     bar.x[c][lane] -= forces_.relaxation() * velocity_bar[c][lane];
                     velocity_bar[c][lane] = 0;

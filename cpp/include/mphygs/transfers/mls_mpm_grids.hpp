@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <limits>
 
-#include "mphygs/parallel.hpp"
+#include "mphygs/team.hpp"
 #include "mphygs/transfers/mls_mpm_lanes.hpp"
 
 namespace mphygs {
@@ -38,10 +38,10 @@ class MlsGrids {
 
     /// Sums the chunks' grids in their order and divides momentum by mass; the result is zero where
     /// no particle reaches. ranges: where the particles were when they scattered.
-    void reduce(const Box& box, const std::vector<CellRange>& ranges, int threads, Buffer<T>& grid) {
+    void reduce(const Box& box, const std::vector<CellRange>& ranges, Team& team, Buffer<T>& grid) {
         grid.resize(lanes_ * 4 * box.nodes() + 4);
-        clear(box, ranges, threads, grid.data());
-        sum(box, ranges, threads, [&](std::size_t first, std::size_t count, const auto& add) {
+        clear(box, ranges, team, grid.data());
+        sum(box, ranges, team, [&](std::size_t first, std::size_t count, const auto& add) {
             for (std::size_t l = 0; l < lanes_; ++l) {
                 add(l, &grid[4 * (l * box.nodes() + first)]);
             }
@@ -56,13 +56,13 @@ class MlsGrids {
     }
 
     /// Zeros on the planes that are read: a row of three nodes reads a fourth.
-    void clear(const Box& box, const std::vector<CellRange>& ranges, int threads, T* grid) const {
+    void clear(const Box& box, const std::vector<CellRange>& ranges, Team& team, T* grid) const {
         CellRange all;
         for (const CellRange& r : ranges) {
             all.cover(r);
         }
         const int first = all.low[0] - 1 - box.low[0], planes = all.high[0] - all.low[0] + 3;
-        for_each_index(planes, threads, [&](int plane) {
+        team.each(planes, [&](int plane) {
             const std::size_t at = static_cast<std::size_t>(first + plane) * box.plane();
             for (std::size_t l = 0; l < lanes_; ++l) {
                 // The first node of the plane behind is the fourth of this plane's last row.
@@ -74,13 +74,13 @@ class MlsGrids {
     /// Calls f(first node, nodes, add) for every row of nodes that the particles reach; add(l, to)
     /// adds lane l of that row.
     template <class F>
-    void sum(const Box& box, const std::vector<CellRange>& ranges, int threads, F&& f) {
+    void sum(const Box& box, const std::vector<CellRange>& ranges, Team& team, F&& f) {
         CellRange all;
         for (const CellRange& r : ranges) {
             all.cover(r);
         }
         const std::size_t count = static_cast<std::size_t>(all.high[2] - all.low[2] + 3);
-        for_each_index(all.high[0] - all.low[0] + 3, threads, [&](int plane) {
+        team.each(all.high[0] - all.low[0] + 3, [&](int plane) {
             const int i = all.low[0] - 1 + plane;
             for (int j = all.low[1] - 1; j <= all.high[1] + 1; ++j) {
                 const std::size_t first = (static_cast<std::size_t>(i - box.low[0]) * static_cast<std::size_t>(box.count[1]) +

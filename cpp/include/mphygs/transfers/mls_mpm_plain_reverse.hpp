@@ -14,11 +14,11 @@ struct PlainTile {
     MlsTile<T, 0> bars;   // of what they gave
     TileSlope<T> slope;
     alignas(64) T velocity[3][tile_size];
-    alignas(64) T strained[9][tile_size];  // F at n + 1
+    alignas(64) T strained[9][tile_size];  // F - I at n + 1
     alignas(64) T logarithm[tile_size];    // of det F
 };
 
-/// Particles at n + 1 and what they gave there. before: their x and F at n.
+/// Particles at n + 1 and what they gave there. before: their u and F - I at n.
 template <class T>
 inline void plain_given(PlainTile<T>& tile, const T* before, std::size_t first, const PlainPass<T>& pass, const MlsOrder<T>& order,
                         const std::array<int, 3>& axis, const Box& box, const CellRange& limits) {
@@ -29,6 +29,7 @@ inline void plain_given(PlainTile<T>& tile, const T* before, std::size_t first, 
     for (std::size_t k = 0; k < tile_size; k += MlsVector<T>::wide_count) {
         const T* moving = before + slot_of(0, moving_numbers, first + k);
         const T* fixed = &order.fixed[slot_of(0, fixed_numbers, first + k)];
+        const T* rest = &order.rest[slot_of(0, rest_numbers, first + k)];
         W v[3], m[3][3], f[3][3], g[3][3], scaled[3];
         for (std::size_t c = 0; c < 3; ++c) {
             v[c] = read<W>(&tile.took.q[0][c][k]);
@@ -40,37 +41,29 @@ inline void plain_given(PlainTile<T>& tile, const T* before, std::size_t first, 
         }
         for (std::size_t i = 0; i < 3; ++i) {
             for (std::size_t j = 0; j < 3; ++j) {
-                g[i][j] = f[i][j] + strain * (m[i][0] * f[0][j] + m[i][1] * f[1][j] + m[i][2] * f[2][j]);
+                g[i][j] = f[i][j] + strain * (m[i][j] + (m[i][0] * f[0][j] + m[i][1] * f[1][j] + m[i][2] * f[2][j]));
                 write(&tile.strained[3 * i + j][k], g[i][j]);
             }
             const std::size_t a = static_cast<std::size_t>(axis[i]);
-            scaled[i] = (read<W>(moving + group_size * a) + pass.dt * v[a]) * pass.inverse_spacing;
+            scaled[i] = (read<W>(rest + group_size * a) + (read<W>(moving + group_size * a) + pass.dt * v[a])) * pass.inverse_spacing;
         }
         stand<W, T>(scaled, static_cast<int>(k), tile.given.s[0], tile.given.corner, box, limits, ignored);
-        const W j = g[0][0] * (g[1][1] * g[2][2] - g[1][2] * g[2][1]) + g[0][1] * (g[1][2] * g[2][0] - g[1][0] * g[2][2]) +
-                    g[0][2] * (g[1][0] * g[2][1] - g[1][1] * g[2][0]);
-        const W log_j = wide_logarithm(j);
+        const W log_j = wide_logarithm_of_one_plus(wide_expansion(g));
         write(&tile.logarithm[k], log_j);
         const W scale = stress * read<W>(fixed + group_size * fixed_volume);
         const W mu = scale * read<W>(fixed + group_size * fixed_mu);
-        const W pressure = scale * read<W>(fixed + group_size * fixed_lambda) * log_j - mu;
+        const W pressure = scale * read<W>(fixed + group_size * fixed_lambda) * log_j;
         const W mass = read<W>(fixed + group_size * fixed_mass);
         const W inertia = T(4) * mass;
+        give_affine<T>(tile.given, k, m, g, inertia, mu, pressure);
         for (std::size_t a = 0; a < 3; ++a) {
-            for (std::size_t b = 0; b < 3; ++b) {
-                W tau = mu * (g[a][0] * g[b][0] + g[a][1] * g[b][1] + g[a][2] * g[b][2]);
-                if (a == b) {
-                    tau += pressure;
-                }
-                write(&tile.given.n[0][3 * a + b][k], inertia * m[a][b] - tau);
-            }
             write(&tile.given.q[0][a][k], mass * (v[a] + pass.next_dt * pass.gravity[a]));
         }
         write(&tile.given.mass[0][k], mass);
     }
 }
 
-/// From the bars of what was given to those of what was taken, of F at n and of the fixed numbers.
+/// From the bars of what was given to those of what was taken, of F at n, and of the fixed numbers.
 /// bars: of x and F, at n + 1 before and at n after, but for the slope of what was taken.
 template <class T>
 inline void plain_bars(PlainTile<T>& tile, const T* before, T* bars, T* fixed_bars, std::size_t first, const PlainPass<T>& pass,
@@ -86,11 +79,12 @@ inline void plain_bars(PlainTile<T>& tile, const T* before, T* bars, T* fixed_ba
         const W mass = read<W>(fixed + group_size * fixed_mass), mu = read<W>(fixed + group_size * fixed_mu);
         const W lambda = read<W>(fixed + group_size * fixed_lambda), log_j = read<W>(&tile.logarithm[k]);
         const W scale = -stress * read<W>(fixed + group_size * fixed_volume);
-        W m[3][3], g[3][3], n[3][3], fbar[3][3];
+        W m[3][3], h[3][3], g[3][3], n[3][3], fbar[3][3];
         for (std::size_t i = 0; i < 3; ++i) {
             for (std::size_t j = 0; j < 3; ++j) {
                 m[i][j] = read<W>(&tile.took.n[0][3 * i + j][k]);
-                g[i][j] = read<W>(&tile.strained[3 * i + j][k]);
+                h[i][j] = read<W>(&tile.strained[3 * i + j][k]);
+                g[i][j] = i == j ? h[i][j] + T(1) : h[i][j];
                 n[i][j] = read<W>(&tile.bars.n[0][3 * i + j][k]);
                 fbar[i][j] = read<W>(bar + group_size * (3 + 3 * i + j));
             }
@@ -131,17 +125,17 @@ inline void plain_bars(PlainTile<T>& tile, const T* before, T* bars, T* fixed_ba
         for (std::size_t a = 0; a < 3; ++a) {
             for (std::size_t b = 0; b < 3; ++b) {
                 const W t = symmetric[a][0] * g[0][b] + symmetric[a][1] * g[1][b] + symmetric[a][2] * g[2][b];
-                square += t * g[a][b];  // twice n : F F^T
+                square += (t + symmetric[a][b]) * h[a][b];  // twice n : (F F^T - I)
                 fbar[a][b] += shear * t + pull * cofactor[a][b];
             }
         }
-        const W stretch_work = T(0.5) * square - trace, volume_work = trace * log_j;
+        const W stretch_work = T(0.5) * square, volume_work = trace * log_j;
         const auto add = [&](Fixed number, W x) { write(sums + group_size * number, read<W>(sums + group_size * number) + x); };
         add(fixed_mu, scale * stretch_work);
         add(fixed_lambda, scale * volume_work);
         add(fixed_volume, -stress * (mu * stretch_work + lambda * volume_work));
         add(fixed_mass, mass_bar);
-        // F at n + 1 = F + strain M F
+        // F at n + 1 = F + strain M F; f: F - I
         W f[3][3];
         for (std::size_t i = 0; i < 3; ++i) {
             for (std::size_t j2 = 0; j2 < 3; ++j2) {
@@ -151,7 +145,7 @@ inline void plain_bars(PlainTile<T>& tile, const T* before, T* bars, T* fixed_ba
         const W inertia = T(4) * mass;
         for (std::size_t a = 0; a < 3; ++a) {
             for (std::size_t b = 0; b < 3; ++b) {
-                const W from_strain = fbar[a][0] * f[b][0] + fbar[a][1] * f[b][1] + fbar[a][2] * f[b][2];
+                const W from_strain = fbar[a][b] + (fbar[a][0] * f[b][0] + fbar[a][1] * f[b][1] + fbar[a][2] * f[b][2]);
                 write(&tile.took.n[0][3 * a + b][k], inertia * n[a][b] + strain * from_strain);
                 const W turned = m[0][a] * fbar[0][b] + m[1][a] * fbar[1][b] + m[2][a] * fbar[2][b];
                 write(bar + group_size * (3 + 3 * a + b), fbar[a][b] + strain * turned);

@@ -19,8 +19,8 @@ class MlsMpmReverse {
     using P = Pack<T>;
     using Loss = typename MlsMpm<T>::Loss;
 
-    MlsMpmReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule)
-        : model_(model), fields_(fields), run_(model, inputs_of(fields), schedule), table_(run_.table()),
+    MlsMpmReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule, Team& team)
+        : model_(model), fields_(fields), run_(model, inputs_of(fields), schedule, team), table_(run_.table()),
           forces_(run_.forces_, fields), particles_(model.padded_), sums_(static_cast<std::size_t>(model.chunk_count_)),
           grids_(model.chunk_count_, 1) {
         const std::size_t n = model.padded_, count = model.particle_count();
@@ -190,8 +190,7 @@ class MlsMpmReverse {
         }
         run_.state_.history = record.history;  // evaluated again, to be overwritten
         grids_.prepare(record.box, record.ranges);
-        for_each_index(model_.chunk_count_, model_.settings_.threads,
-                       [&](int c) { reverse_chunk(static_cast<std::size_t>(c), n, record, forces); });
+        run_.team_->each(model_.chunk_count_, [&](int c) { reverse_chunk(static_cast<std::size_t>(c), n, record, forces); });
         if (forces) {
             add_sums(n + 1);
         }
@@ -201,8 +200,8 @@ class MlsMpmReverse {
     /// Bars of the velocities, summed, to bars of momentum and mass.
     void grid_bar(const MlsState<T>& record) {
         bar_grid_.resize(4 * record.box.nodes() + 4);
-        grids_.clear(record.box, record.ranges, model_.settings_.threads, bar_grid_.data());
-        grids_.sum(record.box, record.ranges, model_.settings_.threads, [&](std::size_t first, std::size_t count, const auto& add) {
+        grids_.clear(record.box, record.ranges, *run_.team_, bar_grid_.data());
+        grids_.sum(record.box, record.ranges, *run_.team_, [&](std::size_t first, std::size_t count, const auto& add) {
             T* bar = &bar_grid_[4 * first];
             const T* value = &record.grid[4 * first];
             add(0, bar);
@@ -284,11 +283,11 @@ class MlsMpmReverse {
         const bool hot = forces && run_.forces_.plain() && !table_.is_frame(n + 1);
         for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
             if (hot && run_.forces_.plain_tile(*record.order, t)) {
-                run_.stand_tile(plain.took, record.moving, record.box, t, limits);
+                run_.stand_tile(plain.took, *record.order, record.moving, record.box, t, limits);
                 gather_rows<T>(plain.took, record.grid.data(), model_.axis_, record.box);
                 plain_given<T>(plain, record.moving.data(), t, pass, *record.order, model_.axis_, bar_box_, inside(bar_box_, bar_ranges_[c]));
                 const auto moved = [&](std::size_t p, std::size_t a) {
-                    return record.moving[slot_of(a, moving_numbers, p)] + h * plain.velocity[a][p - t];
+                    return record.moving[slot_of(a, moving_numbers, p)] + h * plain.velocity[a][p - t];  // u
                 };
                 run_.forces_.each_held_of_tile(*record.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
                     for (std::size_t a = 0; a < 3; ++a) {
@@ -317,8 +316,9 @@ class MlsMpmReverse {
             ParticlePoint<P> points[tile_packs], bars[tile_packs];
             Mat3<P> before[tile_packs];
             for (int k = 0; k < tile_packs; ++k) {
-                points[k] = load_moving<T, 0>(record.moving.data(), size, t + static_cast<std::size_t>(k * lane_count));
-                locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
+                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                points[k] = load_moving<T, 0>(record.moving.data(), size, p);
+                locate(tile, k, placed<T, 0>(*record.order, p, points[k].x), run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
             }
             gather_tile<T, 0>(tile, record.grid.data(), 0, model_.axis_, record.box);
             alignas(64) T velocity[3][tile_size];
@@ -327,9 +327,10 @@ class MlsMpmReverse {
                 const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
                 points[k].v = tile.get_q(k);
                 points[k].c = run_.affine_velocity(tile.get_n(k));
-                before[k] = points[k].f;
+                before[k] = with_identity(points[k].f);
                 points[k].x = points[k].x + broadcast<T>(h) * points[k].v;
-                points[k].f = points[k].f + broadcast<T>(h) * (points[k].c * points[k].f);
+                points[k].f = strained(points[k].f, points[k].c, broadcast<T>(h));
+                complete<T, 0>(*record.order, p, points[k]);
                 bars[k] = load_moving<T, 0>(bars_.data(), size, p);
                 if (table_.is_frame(n + 1)) {
                     add_seeds(table_.frame_of_state(n + 1), *record.order, p, bars[k]);

@@ -9,7 +9,7 @@
 #include <cmath>
 #include <sstream>
 
-#include "mphygs/parallel.hpp"
+#include "mphygs/team.hpp"
 #include "mphygs/transfers/mls_mpm_forces.hpp"
 #include "mphygs/transfers/mls_mpm_grids.hpp"
 #include "mphygs/transfers/mls_mpm_plain.hpp"
@@ -23,8 +23,9 @@ class MlsMpmRun {
     using P = Pack<T>;
     static constexpr int lanes = K + 1;
 
-    MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule)
-        : model_(model), inputs_(inputs), table_(schedule), forces_(model, inputs, table_),
+    /// team: whose threads share the work of a substep.
+    MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule, Team& team)
+        : model_(model), team_(&team), inputs_(inputs), table_(schedule), forces_(model, inputs, table_),
           inverse_spacing_(static_cast<T>(1.0 / model.geometry_.spacing)), grids_(model.chunk_count_, lanes) {
         failed_.assign(static_cast<std::size_t>(model.chunk_count_), -1);
         place_particles();
@@ -56,9 +57,8 @@ class MlsMpmRun {
             forces_.refresh(0);
         }
         grids_.prepare(box, state_.ranges);
-        for_each_index(model_.chunk_count_, model_.settings_.threads,
-                       [&](int c) { start_chunk(static_cast<std::size_t>(c), box, improve, real); });
-        grids_.reduce(box, state_.ranges, model_.settings_.threads, state_.grid);
+        team_->each(model_.chunk_count_, [&](int c) { start_chunk(static_cast<std::size_t>(c), box, improve, real); });
+        grids_.reduce(box, state_.ranges, *team_, state_.grid);
         state_.box = box;
     }
 
@@ -94,7 +94,7 @@ class MlsMpmRun {
             grids_.prepare(next, state_.ranges);
         }
         std::vector<CellRange> ranges(state_.ranges.size());
-        for_each_index(model_.chunk_count_, model_.settings_.threads, [&](int c) {
+        team_->each(model_.chunk_count_, [&](int c) {
             advance_chunk(static_cast<std::size_t>(c), h, next, forces, output, ranges[static_cast<std::size_t>(c)]);
         });
         stop_if_failed(n);
@@ -104,7 +104,7 @@ class MlsMpmRun {
             state_.grid = model_.workspace_->grid.take(record->grid.size());
         }
         if (forces) {
-            grids_.reduce(next, state_.ranges, model_.settings_.threads, state_.grid);
+            grids_.reduce(next, state_.ranges, *team_, state_.grid);
             state_.box = next;
         }
         if (output) {
@@ -123,12 +123,12 @@ class MlsMpmRun {
             for (std::size_t c = 0; c < 3; ++c) {
                 position[3 * i + c] = state_.moving[lane * moving_numbers * n + slot_of(c, moving_numbers, p)];
                 if (l == 0) {
-                    position[3 * i + c] = static_cast<T>(static_cast<double>(position[3 * i + c]) + model_.anchor_[c]);
+                    position[3 * i + c] = static_cast<T>(static_cast<double>(position[3 * i + c]) + model_.geometry_.points[3 * i + c]);
                 }
                 velocity[3 * i + c] = velocity_[(3 * lane + c) * n + p];
             }
             for (std::size_t k = 0; k < 9; ++k) {
-                deformation[9 * i + k] = state_.moving[lane * moving_numbers * n + slot_of(3 + k, moving_numbers, p)];
+                deformation[9 * i + k] = state_.moving[lane * moving_numbers * n + slot_of(3 + k, moving_numbers, p)] + identity(k, l);
             }
         }
     }
@@ -176,7 +176,7 @@ class MlsMpmRun {
         }
         // The sum sets the planes that particles reach; what was read must not stay on the others.
         std::fill(state_.grid.begin(), state_.grid.end(), T{});
-        grids_.reduce(box, state_.ranges, 1, state_.grid);
+        grids_.reduce(box, state_.ranges, *team_, state_.grid);
         for (std::size_t i = 0; i < numbers; ++i) {
             field[i] = i % 4 == 3 ? T{} : state_.grid[numbers + i] / h;
         }
@@ -196,8 +196,10 @@ class MlsMpmRun {
         return tile_size * part_begin(size() / tile_size, model_.chunk_count_, static_cast<int>(c));
     }
 
+    /// Number k of the identity, in lane l: the derivatives have none.
+    static T identity(std::size_t k, int l) { return l == 0 && k % 4 == 0 ? T(1) : T(0); }
+
     void place_particles() {
-        const MlsGeometry& g = model_.geometry_;
         const std::size_t n = size(), count = model_.particle_count();
         std::vector<std::int32_t> ids(n);
         state_.moving.assign(lanes * moving_numbers * n, T{});
@@ -209,19 +211,16 @@ class MlsMpmRun {
             for (int l = 0; l < lanes; ++l) {
                 const std::size_t lane = static_cast<std::size_t>(l);
                 for (std::size_t c = 0; c < 3; ++c) {
-                    T& x = state_.moving[lane * moving_numbers * n + slot_of(c, moving_numbers, p)];
-                    x = lane_of(inputs_.plain(&Fields<T>::displacement0, 3 * i + c), l);
-                    if (l == 0) {
-                        x += static_cast<T>(g.points[3 * i + c] - model_.anchor_[c]);
-                    }
+                    state_.moving[lane * moving_numbers * n + slot_of(c, moving_numbers, p)] =
+                        lane_of(inputs_.plain(&Fields<T>::displacement0, 3 * i + c), l);
                     velocity_[(3 * lane + c) * n + p] = lane_of(inputs_.plain(&Fields<T>::velocity0, 3 * i + c), l);
                 }
                 for (std::size_t k = 0; k < 9; ++k) {
                     T& f = state_.moving[lane * moving_numbers * n + slot_of(3 + k, moving_numbers, p)];
                     if (!inputs_.primal->deformation0.empty() && p < count) {
-                        f = lane_of(inputs_.plain(&Fields<T>::deformation0, 9 * i + k), l);
+                        f = lane_of(inputs_.plain(&Fields<T>::deformation0, 9 * i + k), l) - identity(k, l);
                     } else {
-                        f = l == 0 && k % 4 == 0 ? T(1) : T(0);
+                        f = T{};
                     }
                 }
             }
@@ -240,7 +239,10 @@ class MlsMpmRun {
         for (std::size_t c = 0; c < 3; ++c) {
             node[c].resize(n);
             for (std::size_t p = 0; p < n; p += lane_count) {
-                const P scaled = load<T>(&state_.moving[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, p)]) * inverse_spacing_;
+                const std::size_t a = static_cast<std::size_t>(model_.axis_[c]);
+                const P scaled = (load<T>(&state_.order->rest[slot_of(a, rest_numbers, p)]) +
+                                  load<T>(&state_.moving[slot_of(a, moving_numbers, p)])) *
+                                 inverse_spacing_;
                 const PackMask<T> index = __builtin_convertvector(nearest(scaled), PackMask<T>);
                 for (int q = 0; q < lane_count; ++q) {
                     node[c][p + static_cast<std::size_t>(q)] = static_cast<std::int32_t>(index[q]);
@@ -361,7 +363,11 @@ class MlsMpmRun {
         return r;
     }
 
-    ParticlePoint<S> load_particles(std::size_t p, const Buffer<T>& from) const { return load_moving<T, K>(from.data(), size(), p); }
+    ParticlePoint<S> load_particles(std::size_t p, const Buffer<T>& from) const {
+        ParticlePoint<S> point = load_moving<T, K>(from.data(), size(), p);
+        complete<T, K>(*state_.order, p, point);
+        return point;
+    }
 
     /// C = 4/h^2 sum w v (x_i - x)^T from the moment in cell units.
     Mat3<S> affine_velocity(const Mat3<S>& moment) const {
@@ -433,22 +439,25 @@ class MlsMpmRun {
     }
 
     /// Overwrites the momentum of a held particle of a hot tile.
-    void give_held(MlsTile<T, 0>& tile, std::size_t at, std::size_t hold, std::size_t id, std::size_t c, T x) const {
+    void give_held(MlsTile<T, 0>& tile, std::size_t at, std::size_t hold, std::size_t id, std::size_t c, T u) const {
         const int k = static_cast<int>(c);
-        tile.q[0][c][at] = tile.mass[0][at] * (forces_.held_velocity(hold, id, k, x) + forces_.dt() * forces_.gravity(k));
+        tile.q[0][c][at] = tile.mass[0][at] * (forces_.held_velocity(hold, id, k, u) + forces_.dt() * forces_.gravity(k));
     }
     PlainPass<T> plain_pass(T h, bool forces) const {
         return {size(), inverse_spacing_, h, forces, forces_.dt(),
                 {forces_.gravity(0), forces_.gravity(1), forces_.gravity(2)}};
     }
     /// Stands a tile where its particles are; they are known to be inside.
-    void stand_tile(MlsTile<T, 0>& tile, const Buffer<T>& from, const Box& box, std::size_t first, const CellRange& inside) const {
+    void stand_tile(MlsTile<T, 0>& tile, const MlsOrder<T>& order, const Buffer<T>& from, const Box& box, std::size_t first,
+                    const CellRange& inside) const {
         using W = Wide<T>;
         SeenRange<W> ignored;
         for (std::size_t k = 0; k < tile_size; k += MlsVector<T>::wide_count) {
             W scaled[3];
             for (std::size_t c = 0; c < 3; ++c) {
-                scaled[c] = read<W>(&from[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, first + k)]) * inverse_spacing_;
+                const std::size_t a = static_cast<std::size_t>(model_.axis_[c]);
+                scaled[c] = (read<W>(&order.rest[slot_of(a, rest_numbers, first + k)]) + read<W>(&from[slot_of(a, moving_numbers, first + k)])) *
+                            inverse_spacing_;
             }
             stand<W, T>(scaled, static_cast<int>(k), tile.s[0], tile.corner, box, inside, ignored);
         }
@@ -466,7 +475,7 @@ class MlsMpmRun {
         for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
             if constexpr (K == 0) {
                 if (plain && forces_.plain_tile(*state_.order, t)) {
-                    stand_tile(tile, *from_, state_.box, t, now);
+                    stand_tile(tile, *state_.order, *from_, state_.box, t, now);
                     gather_rows<T>(tile, state_.grid.data(), model_.axis_, state_.box);
                     const PlainPass<T> pass = plain_pass(h, forces);
                     const long failed = mphygs::plain_tile<T>(tile, t, pass, from_->data(), state_.moving.data(), output ? velocity_.data() : nullptr,
@@ -475,8 +484,7 @@ class MlsMpmRun {
                     if (forces) {
                         forces_.each_held_of_tile(*state_.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
                             for (std::size_t a = 0; a < 3; ++a) {
-                                const T x = state_.moving[slot_of(a, moving_numbers, p)];
-                                give_held(tile, p - t, hold, id, a, x);
+                                give_held(tile, p - t, hold, id, a, state_.moving[slot_of(a, moving_numbers, p)]);
                             }
                         });
                         scatter_rows<T>(tile, out, model_.axis_, next);
@@ -486,8 +494,9 @@ class MlsMpmRun {
             }
             ParticlePoint<S> points[tile_packs];
             for (int k = 0; k < tile_packs; ++k) {
-                points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count), *from_);
-                locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, state_.box, now, ignored);
+                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                points[k] = load_moving<T, K>(from_->data(), n, p);
+                locate(tile, k, placed<T, K>(*state_.order, p, points[k].x), inverse_spacing_, model_.axis_, state_.box, now, ignored);
             }
             gather_tile<T, K>(tile, state_.grid.data(), 4 * state_.box.nodes(), model_.axis_, state_.box);
             for (int k = 0; k < tile_packs; ++k) {
@@ -498,8 +507,9 @@ class MlsMpmRun {
                 for (int a = 0; a < 3; ++a) {
                     point.x[a] = point.x[a] + h * point.v[a];
                 }
-                point.f = point.f + constant<S>(h) * (point.c * point.f);
+                point.f = strained(point.f, point.c, constant<S>(h));
                 store_moving<T, K>(state_.moving.data(), n, p, point);
+                complete<T, K>(*state_.order, p, point);
                 for (int l = 0; output && l < lanes; ++l) {
                     for (std::size_t a = 0; a < 3; ++a) {
                         store<T>(&velocity_[(3 * static_cast<std::size_t>(l) + a) * n + p], lane_of(point.v[static_cast<int>(a)], l));
@@ -574,8 +584,7 @@ class MlsMpmRun {
             }
             const std::size_t i = static_cast<std::size_t>(state_.order->id[p]);
             for (std::size_t c = 0; i < model_.particle_count() && c < 3; ++c) {
-                const T rest = static_cast<T>(model_.geometry_.points[3 * i + c] - model_.anchor_[c]);
-                if (!(std::abs(state_.moving[slot_of(c, moving_numbers, p)] - rest) < limit)) {
+                if (!(std::abs(state_.moving[slot_of(c, moving_numbers, p)]) < limit)) {
                     stop(p, frame, time, "a displacement is above the limit");
                 }
             }
@@ -583,6 +592,7 @@ class MlsMpmRun {
     }
 
     const MlsMpm<T>& model_;
+    Team* team_;
     Inputs<T, K> inputs_;
     StepTable table_;
     MlsForces<T, K> forces_;

@@ -38,7 +38,11 @@ inline constexpr std::size_t group_size = 16;
 inline std::size_t slot_of(std::size_t number, std::size_t numbers, std::size_t particle) {
     return (particle / group_size * numbers + number) * group_size + particle % group_size;
 }
-inline constexpr std::size_t moving_numbers = 12;  // x, then F row by row
+/// What moves: u = x - x at rest, then H = F - I row by row. x and F themselves would lose what a substep adds
+/// to them: next to 0.2 m a float's last digit is what 0.15 mm/s moves in 0.1 ms, next to 1 a thousandth of the
+/// strains of a stiff object.
+inline constexpr std::size_t moving_numbers = 12;
+inline constexpr std::size_t rest_numbers = 3;
 inline constexpr std::size_t fixed_numbers = 4;
 enum Fixed : std::size_t { fixed_mu, fixed_lambda, fixed_volume, fixed_mass };
 
@@ -51,6 +55,7 @@ struct MlsOrder {
     std::vector<std::int32_t> id;                // the caller's number, >= N: padding
     std::vector<T> fixed;                        // (lanes, groups, Fixed, 16); mass with the attached one,
                                                  // of held particles times hold_weight
+    std::vector<T> rest;                         // (groups, 3, 16) place at rest, from the anchor [m]
     std::vector<T> own_mass;                     // (lanes, size) without it, where a volume effect has a body force
     std::vector<T> area;                         // (size,)
     std::vector<std::int32_t> hold;              // (size,)
@@ -83,6 +88,13 @@ MlsOrder<T>::MlsOrder(const MlsMpm<T>& model, const Inputs<T, K>& inputs, std::v
         fill(fixed_lambda, f ? &f->lambda : nullptr, unit);
         fill(fixed_volume, f ? &f->stress_volume : nullptr, T{});
         fill(fixed_mass, f ? &f->mass : nullptr, T{});
+    }
+    rest.resize(rest_numbers * size);
+    for (std::size_t p = 0; p < size; ++p) {
+        const std::size_t i = std::min(static_cast<std::size_t>(id[p]), count - 1);  // padding stands on the last particle
+        for (std::size_t c = 0; c < 3; ++c) {
+            rest[slot_of(c, rest_numbers, p)] = static_cast<T>(g.points[3 * i + c] - model.anchor_[c]);
+        }
     }
     if (model.sites_.body_volume) {
         own_mass.resize(all);
@@ -196,7 +208,7 @@ struct MlsWorkspace {
 template <class T>
 struct MlsState {
     std::shared_ptr<const MlsOrder<T>> order;
-    Buffer<T> moving;        // (lanes, groups, 12, 16): x from the anchor [m], F
+    Buffer<T> moving;        // (lanes, groups, 12, 16): u [m], F - I
     std::vector<T> history;  // (lanes, numbers, size)
     Buffer<T> grid;          // (lanes, nodes, 4)
     Box box;
