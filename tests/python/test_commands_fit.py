@@ -1,6 +1,7 @@
 """The fit command: its JSON, its exit codes, its run folder, stopping and resuming."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -51,6 +52,20 @@ def test_json_has_the_documented_shape(fitted: dict) -> None:
         assert ranges["rms"] == pytest.approx(ranges["rms_over_sigma"] * SIGMA * np.sqrt(3))
     assert fitted["sequences"]["swing"]["fit"]["count"] == 16 * 12 - 1
     assert fitted["substeps"] > 50
+
+
+def test_intervals_can_be_asked_for_afterwards(fitted: dict, tmp_path: Path) -> None:
+    folder = shutil.copytree(fitted["run"], tmp_path / "run")
+    again = answer(command.main, "--out", folder, "--resume", "--intervals", "--workers", 1)
+    assert set(again["parameters"]) == set(fitted["parameters"])
+    for key, entry in again["parameters"].items():
+        low, high = entry.pop("interval")
+        assert entry == fitted["parameters"][key]
+        assert low < entry["value"] < high
+        assert high - low == pytest.approx(4.0 * entry["std"], rel=0.2)
+    code, out, _ = call(command.main, "--out", folder, "--resume", "--intervals", "--workers", 1)
+    assert code == 0
+    assert "interval (2 sd)" in out
 
 
 def test_run_folder_holds_the_same_numbers_twice(fitted: dict) -> None:

@@ -7,17 +7,24 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mphygs.fit.determined import determinations
+from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
 
 
-def parameters_of(run: Run) -> dict[str, dict[str, object]]:
-    """Fitted parameters of a run. Raises ValueError for one that is not complete."""
+def parameters_of(run: Run, found: Mapping[str, Interval] | None = None) -> dict[str, dict[str, object]]:
+    """Fitted parameters of a run. found: intervals from the likelihood by key, where they were asked for.
+
+    Raises ValueError for a run that is not complete.
+    """
     if run.covariance is None or run.information is None:
         raise ValueError(
             f"{run.folder}: is not complete; expected a finished run (fit --out {run.folder} --resume)"
         )
-    return parameters_document(run.belief, run.information, run.covariance)
+    document = parameters_document(run.belief, run.information, run.covariance)
+    for key, interval in (found or {}).items():
+        document[key]["interval"] = [interval.lower, interval.upper]
+    return document
 
 
 def parameters_document(
@@ -52,12 +59,14 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 
 def parameters_text(parameters: Mapping[str, Mapping[str, object]]) -> str:
     """The fitted parameters, one a line; what the data do not determine says so."""
-    rows = [["parameter", "value", "std", "unit", ""]]
+    spans = any("interval" in entry for entry in parameters.values())
+    rows = [["parameter", "value", "std", "unit", *(["interval (2 sd)"] if spans else []), ""]]
     for key, entry in parameters.items():
         remark = str(entry.get("note", ""))
         if not entry["determined"]:
             remark = f"NOT DETERMINED: {remark}"
-        rows.append([key, f"{entry['value']:.5g}", f"{entry['std']:.2g}", str(entry["unit"]), remark])
+        span = [" to ".join(f"{end:.4g}" for end in entry.get("interval", ()))] if spans else []
+        rows.append([key, f"{entry['value']:.5g}", f"{entry['std']:.2g}", str(entry["unit"]), *span, remark])
     return table(rows)
 
 
