@@ -9,7 +9,7 @@ from mphygs import _core
 class Peer:
     """forward() -> final positions (N, 3) [m]; gradient() -> d(sum of final z)/dE of both materials."""
 
-    def __init__(self, work: w.Workload, threads: int, double: bool = False) -> None:
+    def __init__(self, work: w.Workload, threads: int, double: bool = False, budget: int = 2 << 30) -> None:
         self.work = work
         self.dtype = np.float64 if double else np.float32
         model = _core.MlsMpmFloat64 if double else _core.MlsMpmFloat32
@@ -21,7 +21,8 @@ class Peer:
             "hold_count": 1,
             "part_count": 2,
         }
-        self.model = model(geometry, {"threads": threads, "hold_relaxation": w.RELAXATION})
+        settings = {"threads": threads, "hold_relaxation": w.RELAXATION, "memory_budget": budget}
+        self.model = model(geometry, settings)
         self.effects = sum(len(e["parameters"]) for e in _core.effects())
 
     def fields(self, steps: int, young: tuple[float, float]) -> dict[str, np.ndarray]:

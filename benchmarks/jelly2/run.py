@@ -22,7 +22,9 @@ from pathlib import Path
 import numpy as np
 import workload
 
-PEERS = ("mphygs", "taichi", "warp", "torch")
+PEERS = ("mphygs", "total_lagrangian", "taichi", "warp", "torch")
+TITLES = {"total_lagrangian": "mphygs, total Lagrangian"}
+OWN = ("mphygs", "total_lagrangian")
 ONE_CORE = ("warp",)
 BEGIN, END = "<!-- jelly2 begin -->", "<!-- jelly2 end -->"
 
@@ -38,17 +40,18 @@ def measure(peer: str, work: workload.Workload, threads: int) -> dict:
     middle = clock()
     gradient = program.gradient()
     end = clock()
+    count = getattr(program, "count", work.count)
     return {
-        "forward": (middle - start) * 1e9 / (work.count * work.forward_steps),
-        "both": (end - middle) * 1e9 / (work.count * work.gradient_steps),
+        "forward": (middle - start) * 1e9 / (count * work.forward_steps),
+        "both": (end - middle) * 1e9 / (count * work.gradient_steps),
         "height": float(positions[:, 2].mean()),
         "gradient": gradient.tolist(),
     }
 
 
-def reference(work: workload.Workload) -> list[float]:
-    """The gradient by central differences of this package's float64 run."""
-    program = importlib.import_module("peer_mphygs").Peer(work, 1, double=True)
+def reference(work: workload.Workload, peer: str) -> list[float]:
+    """The gradient by central differences of a float64 run of one of this package's transfers."""
+    program = importlib.import_module(f"peer_{peer}").Peer(work, 1, double=True)
     result = []
     for material in range(2):
         sums = []
@@ -84,7 +87,7 @@ def table(rows: list[dict]) -> str:
     lines = ["| " + " | ".join(cells) + " |" for cells in (titles, ["---"] * len(titles))]
     for row in rows:
         own = next(r for r in rows if r["peer"] == "mphygs" and r["key"] == row["key"])
-        cells = [str(row["key"][0]), str(row["key"][1]), row["peer"]]
+        cells = [str(row["key"][0]), str(row["key"][1]), TITLES.get(row["peer"], row["peer"])]
         for kind in ("forward", "both"):
             cells += [f"{row[kind]:.1f}", f"{row[kind] / own[kind]:.1f}"]
         cells += [f"{row['both'] / row['forward']:.1f}", f"{row['error']:.0e}"]
@@ -106,7 +109,11 @@ def compare(options: argparse.Namespace) -> list[dict]:
     """All rounds of all peers; rows of medians."""
     rows = []
     for particles in options.particles:
-        truth = in_own_process(["--reference", "--particles", str(particles)], 1)["gradient"]
+        truth = {
+            peer: in_own_process(["--reference", peer, "--particles", str(particles)], 1)["gradient"]
+            for peer in OWN
+            if peer in options.peers
+        }
         for threads in options.threads:
             peers = [p for p in options.peers if threads == 1 or p not in ONE_CORE]
             rounds = {p: [] for p in peers}
@@ -123,7 +130,7 @@ def compare(options: argparse.Namespace) -> list[dict]:
                         "key": (workload.jelly2(particles).count, threads),
                         "forward": statistics.median(r["forward"] for r in rounds[peer]),
                         "both": statistics.median(r["both"] for r in rounds[peer]),
-                        "error": difference(rounds[peer][0]["gradient"], truth),
+                        "error": difference(rounds[peer][0]["gradient"], truth.get(peer, truth["mphygs"])),
                     }
                 )
     return rows
@@ -139,14 +146,14 @@ def main() -> None:
     parser.add_argument("--peers", nargs="+", choices=PEERS, default=list(PEERS))
     parser.add_argument("--write", action="store_true", help="put the table into benchmarks/README.md")
     parser.add_argument("--measure", choices=PEERS, help=argparse.SUPPRESS)
-    parser.add_argument("--reference", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--reference", choices=OWN, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure or options.reference:
         work = workload.jelly2(options.particles[0])
         if options.measure:
             result = measure(options.measure, work, options.threads[0])
         else:
-            result = {"gradient": reference(work)}
+            result = {"gradient": reference(work, options.reference)}
         sys.stdout.write(json.dumps(result) + "\n")
         return
     if "mphygs" not in options.peers:

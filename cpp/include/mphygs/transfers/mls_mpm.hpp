@@ -105,7 +105,11 @@ class MlsMpm {
 
   private:
     template <class U, int K>
+    friend class MlsParticles;
+    template <class U, int K>
     friend class MlsMpmRun;
+    template <class U>
+    friend class MlsStepReverse;
     template <class U>
     friend class MlsMpmReverse;
     template <class U, int K>

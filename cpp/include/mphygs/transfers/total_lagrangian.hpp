@@ -82,6 +82,8 @@ class TotalLagrangian {
     template <class U, int K>
     friend class TotalLagrangianRun;
     template <class U>
+    friend class TotalLagrangianForcesReverse;
+    template <class U>
     friend class TotalLagrangianReverse;
     friend class Equilibrium;
 

@@ -81,6 +81,8 @@ class TotalLagrangianForces {
 
   protected:
     template <class TT>
+    friend class TotalLagrangianForcesReverse;
+    template <class TT>
     friend class TotalLagrangianReverse;
 
     /// What effects compute once a substep.

@@ -109,6 +109,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
 
   private:
     template <class TT>
+    friend class TotalLagrangianForcesReverse;
+    template <class TT>
     friend class TotalLagrangianReverse;
     using Forces::chunk_force_, Forces::chunk_forces, Forces::f0_, Forces::history_, Forces::inputs_, Forces::model_;
     using Forces::load_point, Forces::parameters_, Forces::prestressed_, Forces::refresh_uniforms, Forces::size_;
