@@ -14,6 +14,9 @@ namespace mphygs {
 
 namespace {
 
+// Blocks that have to share a table for it to be in the cache when the next of them reads it.
+constexpr int common_table = 4;
+
 std::vector<std::int32_t> sorted_by_cell(const std::vector<std::int32_t>& cell) {
     std::vector<std::int32_t> order(cell.size() / 3);
     std::iota(order.begin(), order.end(), 0);
@@ -135,19 +138,17 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         GradientTable<T> gradient{};
         ValueTable<T> value{};
         for (int q = 0; q < 8; ++q) {
-            double n[27], dn[27][3];
-            point_weights(s[q], spacing, n, dn);
-            for (int a = 0; a < 27; ++a) {
-                value.by_node[a][q] = static_cast<T>(n[a]);
-                value.by_point[q][a / 3 * 4 + a % 3] = static_cast<T>(n[a]);
-                for (int j = 0; j < 3; ++j) {
-                    gradient.by_node[a][j][q] = static_cast<T>(dn[a][j]);
-                    gradient.by_point[q][j][a / 3 * 4 + a % 3] = static_cast<T>(dn[a][j]);
-                }
-            }
+            set_point(q, s[q], spacing, gradient, value);
         }
         gradients_.push_back(gradient);
         values_.push_back(value);
+    }
+    std::vector<int> users(gradients_.size(), 0);
+    for (const std::int32_t t : table_) {
+        ++users[static_cast<std::size_t>(t)];
+    }
+    for (std::size_t t = 0; t < users.size(); ++t) {
+        gradients_[t].common = users[t] >= common_table;
     }
 
     require(g.surface_points.size() == 24 * g.surface_count() && g.surface_area.size() == 8 * g.surface_count(),

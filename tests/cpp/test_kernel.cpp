@@ -1,6 +1,8 @@
 // The quadratic B-spline: partition of unity, linear reproduction, slopes, and the block tables.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "mphygs/transfers/spline_tables.hpp"
 #include "random_numbers.hpp"
 
@@ -66,37 +68,38 @@ TEST(Kernel, WeightsOfAPointReproduceALinearFieldAndItsGradient) {
 }
 
 /// Tables of eight random points, and a field on a little grid of nodes.
-struct Block {
+template <class T>
+struct BlockOf {
     static constexpr std::size_t stride = 40;
-    GradientTable<double> gradient{};
-    ValueTable<double> value{};
+    GradientTable<T> gradient{};
+    ValueTable<T> value{};
     double n[8][27], dn[8][27][3];
     Rows rows;
-    std::vector<double> field;
-    explicit Block(test::Random& random) {
+    std::vector<T> field;
+    /// common: whether the tables are read, or their factors.
+    BlockOf(test::Random& random, bool common) {
         const double spacing[3] = {0.1, 0.2, 0.15};
+        gradient.common = common;
         for (int q = 0; q < 8; ++q) {
             const double s[3] = {random.between(-0.5, 0.5), random.between(-0.5, 0.5), random.between(-0.5, 0.5)};
             point_weights(s, spacing, n[q], dn[q]);
-            for (int a = 0; a < 27; ++a) {
-                value.by_node[a][q] = n[q][a];
-                value.by_point[q][a / 3 * 4 + a % 3] = n[q][a];
-                for (int j = 0; j < 3; ++j) {
-                    gradient.by_node[a][j][q] = dn[q][a][j];
-                    gradient.by_point[q][j][a / 3 * 4 + a % 3] = dn[q][a][j];
-                }
-            }
+            set_point(q, s, spacing, gradient, value);
         }
         for (int r = 0; r < 9; ++r) {
             rows[r] = 4 * r;
         }
-        field = random.numbers(3 * stride, -1, 1);
+        const std::vector<double> numbers = random.numbers(6 * stride, -1, 1);
+        field.assign(numbers.begin(), numbers.end());
     }
 };
+using Block = BlockOf<double>;
 
-TEST(Kernel, GatherReadsValuesAndGradientsOfAField) {
+class Tables : public testing::TestWithParam<bool> {};
+INSTANTIATE_TEST_SUITE_P(Kernel, Tables, testing::Bool());
+
+TEST_P(Tables, GatherReadsValuesAndGradientsOfAField) {
     test::Random random(5);
-    const Block b(random);
+    const Block b(random, GetParam());
     const Mat3<Pack<double>> g = gather_gradient<double>(b.field.data(), Block::stride, b.rows, b.gradient);
     const Vec3<Pack<double>> v = gather_value<double>(b.field.data(), Block::stride, b.rows, b.value);
     for (int q = 0; q < 8; ++q) {
@@ -117,9 +120,9 @@ TEST(Kernel, GatherReadsValuesAndGradientsOfAField) {
     }
 }
 
-TEST(Kernel, ScatterIsTheTransposeOfGather) {
+TEST_P(Tables, ScatterIsTheTransposeOfGather) {
     test::Random random(6);
-    const Block b(random);
+    const Block b(random, GetParam());
     Mat3<Pack<double>> stress;
     Vec3<Pack<double>> force;
     for (int i = 0; i < 3; ++i) {
@@ -134,7 +137,7 @@ TEST(Kernel, ScatterIsTheTransposeOfGather) {
     const Mat3<Pack<double>> g = gather_gradient<double>(b.field.data(), Block::stride, b.rows, b.gradient);
     const Vec3<Pack<double>> v = gather_value<double>(b.field.data(), Block::stride, b.rows, b.value);
     double left[2] = {0, 0};
-    for (std::size_t i = 0; i < b.field.size(); ++i) {
+    for (std::size_t i = 0; i < by_gradient.size(); ++i) {
         left[0] += b.field[i] * by_gradient[i];
         left[1] += b.field[i] * by_value[i];
     }
@@ -145,6 +148,38 @@ TEST(Kernel, ScatterIsTheTransposeOfGather) {
         EXPECT_EQ(by_gradient[i], 0.0);
         EXPECT_EQ(by_value[i], 0.0);
     }
+}
+
+TEST_P(Tables, TwoFieldsAtOnceAreEachOfThem) {
+    test::Random random(7);
+    const BlockOf<float> b(random, GetParam());
+    constexpr std::size_t size = 3 * Block::stride;
+    const Mat3<PackPair> both = gather_gradient_pair(b.field.data(), size, Block::stride, b.rows, b.gradient);
+    Mat3<PackPair> stress;
+    Mat3<Pack<float>> one[2];
+    std::vector<float> sums[2], pair[2];
+    for (std::size_t k = 0; k < 2; ++k) {
+        const Mat3<Pack<float>> g = gather_gradient<float>(b.field.data() + k * size, Block::stride, b.rows, b.gradient);
+        for (int i = 0; i < 9; ++i) {
+            const Pack<float> half = k == 0 ? lower(both[i / 3][i % 3]) : upper(both[i / 3][i % 3]);
+            for (int q = 0; q < 8; ++q) {
+                EXPECT_NEAR(half[q], g[i / 3][i % 3][q], 1e-4);  // of slopes up to 20
+                one[k][i / 3][i % 3][q] = static_cast<float>(random.between(-1, 1));
+            }
+        }
+        sums[k].assign(size, 0.0f);
+        pair[k].assign(size, 0.0f);
+        scatter_gradient<float>(one[k], sums[k].data(), Block::stride, b.rows, b.gradient);
+    }
+    for (int i = 0; i < 9; ++i) {
+        stress[i / 3][i % 3] = join(one[0][i / 3][i % 3], one[1][i / 3][i % 3]);
+    }
+    scatter_gradient_pair(stress, pair[0].data(), pair[1].data(), Block::stride, b.rows, b.gradient);
+    for (std::size_t i = 0; i < size; ++i) {
+        EXPECT_NEAR(pair[0][i], sums[0][i], 1e-4);
+        EXPECT_NEAR(pair[1][i], sums[1][i], 1e-4);
+    }
+    EXPECT_GT(*std::max_element(sums[1].begin(), sums[1].end()), 1.0f);
 }
 
 }  // namespace

@@ -10,14 +10,11 @@
 #include <type_traits>
 
 #include "mphygs/kernel.hpp"
-#include "mphygs/small.hpp"
+#include "mphygs/transfers/spline_factors.hpp"
 
 namespace mphygs {
 
-inline constexpr int row_count_27 = 9;
 inline constexpr int node_lanes = 40;  // 9 rows of 4, padded to whole packs
-
-using Rows = std::int32_t[row_count_27];
 
 /// Four numbers: a row of three nodes and one lane of nothing.
 template <class T>
@@ -39,6 +36,8 @@ struct ValueTable {
 
 template <class T>
 struct GradientTable {
+    bool common = true;                          // several blocks share it: it stays in the cache
+    SplineFactors<T> factors;                    // read instead where it does not
     Pack<T> by_node[27][3];                      // dN_a/dx_j at the eight points [1/m]
     alignas(64) T by_point[8][3][node_lanes];
 };
@@ -59,6 +58,28 @@ inline void point_weights(const double s[3], const double spacing[3], double val
     }
 }
 
+/// Point q of a block, given as in `point_weights`.
+template <class T>
+inline void set_point(int q, const double s[3], const double spacing[3], GradientTable<T>& gradient, ValueTable<T>& value) {
+    double n[27], dn[27][3];
+    point_weights(s, spacing, n, dn);
+    for (int c = 0; c < 3; ++c) {
+        const SplineWeights<double> w = spline_weights(s[c]);
+        for (int k = 0; k < 3; ++k) {
+            gradient.factors.value[c][k][q] = static_cast<T>(w.value[k]);
+            gradient.factors.slope[c][k][q] = static_cast<T>(w.slope[k] / spacing[c]);
+        }
+    }
+    for (int a = 0; a < 27; ++a) {
+        value.by_node[a][q] = static_cast<T>(n[a]);
+        value.by_point[q][a / 3 * 4 + a % 3] = static_cast<T>(n[a]);
+        for (int j = 0; j < 3; ++j) {
+            gradient.by_node[a][j][q] = static_cast<T>(dn[a][j]);
+            gradient.by_point[q][j][a / 3 * 4 + a % 3] = static_cast<T>(dn[a][j]);
+        }
+    }
+}
+
 template <class T>
 inline int node_of(const Rows& rows, int a) {
     return rows[a / 3] + a % 3;
@@ -68,6 +89,9 @@ inline int node_of(const Rows& rows, int a) {
 template <class W, class T, class At, class Wide>
 inline Mat3<W> gradient_sums(const T* field, std::size_t stride, const Rows& rows, const GradientTable<T>& table, const At& at,
                              const Wide& wide) {
+    if (!table.common) {
+        return factored_gradient_sums<W>(field, stride, rows, table.factors, at, wide);
+    }
     // Named sums: g++ 12 leaves an indexed local array in memory inside a loop.
     W xx{}, xy{}, xz{}, yx{}, yy{}, yz{}, zx{}, zy{}, zz{};
     const T* x = field;
@@ -113,7 +137,7 @@ inline Vec3<W> value_sums(const T* field, std::size_t stride, const Rows& rows, 
 /// Reads a number of a field, and the same of the field that many numbers behind it.
 struct BothAt {
     std::size_t second;
-    PackPair operator()(const float* p) const { return join(broadcast(p[0]), broadcast(p[second])); }
+    PackPair operator()(const float* p) const { return broadcast_pair(p, p + second); }
 };
 inline PackPair twice(const Pack<float>& w) { return join(w, w); }
 
@@ -175,6 +199,17 @@ struct RowSums {
     }
 };
 
+/// As `scatter_gradient`, where the table is no other block's.
+template <class T>
+inline void scatter_gradient_factored(const Mat3<Pack<T>>& stress, T* field, std::size_t stride, const Rows& rows,
+                                      const GradientTable<T>& table) {
+    for (std::size_t c = 0; c < 3; ++c) {
+        Pack<T> sums[5];
+        factored_rows<Pack<T>>(stress.e[c], table.factors, [](const Pack<T>& w) { return w; }, sums);
+        add_rows<T>(sums, field + c * stride, rows);
+    }
+}
+
 inline void scatter_gradient_rows(const float (&p)[3][3][8], float* field, std::size_t stride, const Rows& rows,
                                   const GradientTable<float>& table) {
     RowSums x, y, z;
@@ -198,6 +233,10 @@ inline void scatter_gradient_rows(const float (&p)[3][3][8], float* field, std::
 template <class T>
 inline void scatter_gradient(const Mat3<Pack<T>>& stress, T* field, std::size_t stride, const Rows& rows,
                              const GradientTable<T>& table) {
+    if (!table.common) {
+        scatter_gradient_factored<T>(stress, field, stride, rows, table);
+        return;
+    }
     alignas(64) T p[3][3][8];
     std::memcpy(p, stress.e, sizeof p);
     if constexpr (std::is_same_v<T, float>) {
@@ -232,6 +271,32 @@ inline void scatter_gradient(const Mat3<Pack<T>>& stress, T* field, std::size_t 
     add_rows<T>(x, field, rows);
     add_rows<T>(y, field + stride, rows);
     add_rows<T>(z, field + 2 * stride, rows);
+}
+
+/// Of two stresses at once, the points of the second in the upper eight lanes, to two fields.
+inline void scatter_gradient_pair(const Mat3<PackPair>& stress, float* first, float* second, std::size_t stride, const Rows& rows,
+                                  const GradientTable<float>& table) {
+    if (table.common) {
+        alignas(64) float p[2][3][3][8];
+        for (int i = 0; i < 9; ++i) {
+            store<float>(p[0][i / 3][i % 3], lower(stress.e[i / 3][i % 3]));
+            store<float>(p[1][i / 3][i % 3], upper(stress.e[i / 3][i % 3]));
+        }
+        scatter_gradient_rows(p[0], first, stride, rows, table);
+        scatter_gradient_rows(p[1], second, stride, rows, table);
+        return;
+    }
+    for (std::size_t c = 0; c < 3; ++c) {
+        PackPair sums[5];
+        factored_rows<PackPair>(stress.e[c], table.factors, twice, sums);
+        alignas(64) float flat[2][node_lanes];
+        for (int n = 0; n < 5; ++n) {
+            store<float>(flat[0] + 8 * n, lower(sums[n]));
+            store<float>(flat[1] + 8 * n, upper(sums[n]));
+        }
+        add_rows<float>(flat[0], first + c * stride, rows);
+        add_rows<float>(flat[1], second + c * stride, rows);
+    }
 }
 
 /// f_a += sum over the points of force N_a.

@@ -253,15 +253,8 @@ class TotalLagrangianForces {
                 change = change * f0t + s * transpose(df0);
             }
             const W dvolume = -lanes_of(volume_[b], l);
-            alignas(64) float p[2][3][3][8];
-            for (int i = 0; i < 9; ++i) {
-                const W sum = volume * change.e[i / 3][i % 3] + dvolume * both_pulled.e[i / 3][i % 3];
-                store<float>(p[0][i / 3][i % 3], lower(sum));
-                store<float>(p[1][i / 3][i % 3], upper(sum));
-            }
-            for (int k = 0; k < 2; ++k) {
-                scatter_gradient_rows(p[k], out + static_cast<std::size_t>(l + k) * 3 * span, span, rows, table);
-            }
+            float* to = out + static_cast<std::size_t>(l) * 3 * span;
+            scatter_gradient_pair(volume * change + dvolume * both_pulled, to, to + 3 * span, span, rows, table);
         }
         return l;
     }
@@ -341,18 +334,22 @@ class TotalLagrangianForces {
             }
             Mat3<D> stress = prestressed_ ? p.stress * transpose(f0) : p.stress;
             stress = (-pair_of(volume_[b], l)) * stress;
-            alignas(64) float values[3][3][3][8];
+            Mat3<Pack<float>> value, change;
+            Mat3<PackPair> changes;
             for (int i = 0; i < 9; ++i) {
                 const D& x = stress.e[i / 3][i % 3];
-                store<float>(values[0][i / 3][i % 3], lower(x.v));
-                store<float>(values[1][i / 3][i % 3], lower(x.d[0]));
-                store<float>(values[2][i / 3][i % 3], upper(x.d[0]));
+                value.e[i / 3][i % 3] = lower(x.v);
+                change.e[i / 3][i % 3] = lower(x.d[0]);
+                changes.e[i / 3][i % 3] = x.d[0];
             }
             if (l == 1) {
-                scatter_gradient_rows(values[0], out, span, rows, table);
+                scatter_gradient<float>(value, out, span, rows, table);
             }
-            for (int k = 0; k < 2 && l + k < used_; ++k) {
-                scatter_gradient_rows(values[k + 1], out + static_cast<std::size_t>(l + k) * 3 * span, span, rows, table);
+            float* to = out + static_cast<std::size_t>(l) * 3 * span;
+            if (l + 1 < used_) {
+                scatter_gradient_pair(changes, to, to + 3 * span, span, rows, table);
+            } else {
+                scatter_gradient<float>(change, to, span, rows, table);
             }
         }
     }
