@@ -42,7 +42,7 @@ void bind_equilibrium(py::module_& m) {
             },
             py::arg("fields"), py::arg("volume"), py::arg("load"), py::arg("start"), py::arg("tolerance") = 1e-9)
         .def("tangent",
-             [](const Equilibrium& self, const py::list& directions) {
+             [](Equilibrium& self, const py::list& directions) {
                  std::vector<Equilibrium::Direction> d;
                  for (const auto& item : directions) {
                      const auto pair = item.cast<py::tuple>();
@@ -60,7 +60,7 @@ void bind_equilibrium(py::module_& m) {
                  }
                  return out;
              })
-        .def("adjoint", [](const Equilibrium& self, const Array<double>& deformation0_bar, const Array<double>& ratio_bar) {
+        .def("adjoint", [](Equilibrium& self, const Array<double>& deformation0_bar, const Array<double>& ratio_bar) {
             const auto a = to_vector<double>(deformation0_bar), b = to_vector<double>(ratio_bar);
             Equilibrium::Direction d;
             {

@@ -9,6 +9,10 @@ namespace mphygs {
 
 namespace {
 
+// Of a Newton step over the one before: a step this much shorter shows that the next one may do with the same
+// matrix, and with that one, that another one may.
+constexpr double enough_to_keep = 0.1, enough_to_go_on = 0.3;
+
 using P = Pack<double>;
 
 /// Cauchy stress of the state whose inverse deformation is I + gradient.
@@ -266,6 +270,21 @@ void Equilibrium::fill(Solution& s) const {
     }
 }
 
+void Equilibrium::factorise() {
+    if (!solver_.factorise(matrix_)) {
+        throw SimulationError("equilibrium: the stiffness matrix is singular; is a part of the object not connected to the hold?");
+    }
+}
+
+void Equilibrium::factorise_here() {
+    if (!factors_are_here_) {
+        Eigen::VectorXd residual;
+        assemble(w_, true, residual);
+        factorise();
+        factors_are_here_ = true;
+    }
+}
+
 Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std::vector<double>& volume,
                                          const std::vector<double>& load, const std::vector<double>& start, double tolerance,
                                          int iterations) {
@@ -284,10 +303,12 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
     }
     Solution s;
     Eigen::VectorXd residual;
+    bool fresh = true;  // a new matrix, for the factors cost most of the time
+    double before = INFINITY;
     for (s.iterations = 1; s.iterations <= iterations; ++s.iterations) {
-        assemble(w_, true, residual);
-        if (!solver_.factorise(matrix_)) {
-            throw SimulationError("equilibrium: the stiffness matrix is singular; is a part of the object not connected to the hold?");
+        assemble(w_, fresh, residual);
+        if (fresh) {
+            factorise();
         }
         const Eigen::VectorXd step = solver_.solve(-residual);
         // A full step may invert a point of a very soft part: halve it until no point is inverted.
@@ -329,16 +350,22 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
             break;
         }
         if (length == 1.0 && s.last_step < tolerance) {
+            factors_are_here_ = fresh;
             fill(s);
             return s;
         }
+        // The last matrix serves as long as the steps shrink fast with it.
+        const double shrunk = std::isfinite(before) ? s.last_step / before : 1.0;
+        fresh = length < 1.0 || shrunk > (fresh ? enough_to_keep : enough_to_go_on);
+        before = s.last_step;
     }
     throw SimulationError("equilibrium: Newton's method did not converge in " + std::to_string(iterations) +
                           " steps (last step " + std::to_string(s.last_step) +
                           " m); the object is too soft to carry its weight in the published shape");
 }
 
-std::vector<Equilibrium::Solution> Equilibrium::tangent(const std::vector<Direction>& directions) const {
+std::vector<Equilibrium::Solution> Equilibrium::tangent(const std::vector<Direction>& directions) {
+    factorise_here();
     const Assembly a{*model_};
     using D = Dual<P, 1>;
     std::vector<Solution> result;
@@ -401,7 +428,8 @@ std::vector<Equilibrium::Solution> Equilibrium::tangent(const std::vector<Direct
 }
 
 Equilibrium::Direction Equilibrium::adjoint(const std::vector<double>& deformation0_bar,
-                                            const std::vector<double>& volume_ratio_bar) const {
+                                            const std::vector<double>& volume_ratio_bar) {
+    factorise_here();
     const Assembly a{*model_};
     using V = Var<P>;
     Eigen::VectorXd bar = Eigen::VectorXd::Zero(unknown_.size());

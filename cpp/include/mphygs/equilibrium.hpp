@@ -40,21 +40,25 @@ class Equilibrium {
         Fields<double> fields;
         std::vector<double> load;
     };
-    std::vector<Solution> tangent(const std::vector<Direction>& directions) const;
+    std::vector<Solution> tangent(const std::vector<Direction>& directions);
 
     /// Gradient by mu, lambda, effect and load of a loss with the given derivatives.
-    Direction adjoint(const std::vector<double>& deformation0_bar, const std::vector<double>& volume_ratio_bar) const;
+    Direction adjoint(const std::vector<double>& deformation0_bar, const std::vector<double>& volume_ratio_bar);
 
   private:
     struct Assembly;
     void assemble(const std::vector<double>& w, bool matrix, Eigen::VectorXd& residual);
     void fill(Solution& s) const;
+    void factorise();
+    /// The factors of the matrix at the last solution, unless that is what they are.
+    void factorise_here();
 
     std::shared_ptr<const TotalLagrangian<double>> model_;
     Fields<double> fields_;
     std::vector<double> volume_, load_, w_;
     Eigen::VectorXd unknown_;
     double node_spring_ = 0;  // [N/m]
+    bool factors_are_here_ = false;
     Eigen::SparseMatrix<double> matrix_;
     std::vector<std::int32_t> position_;  // of every block's 81 x 81 entries in the matrix's values
     BlockTridiagonal solver_;
