@@ -94,5 +94,5 @@ class Peer:
         bar[1, :, 2] = 1
         bars, _ = model.adjoint(fields, schedule, bar, np.zeros(0, bar.dtype))
         mu, lame = w.lame_per_young()
-        by_point = np.asarray(bars["mu"], float).ravel() * mu + np.asarray(bars["lambda"], float).ravel() * lame
+        by_point = np.ravel(bars["mu"]).astype(float) * mu + np.ravel(bars["lambda"]).astype(float) * lame
         return np.bincount(self.part, by_point, minlength=2)

@@ -151,6 +151,32 @@ def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:
     assert grids.refined(experiment, [before, rival], None, screening=False).assessment.adequate
 
 
+@pytest.mark.parametrize("worst", [1.05, 1.2])
+def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothing(
+    monkeypatch: pytest.MonkeyPatch, worst: float
+) -> None:
+    experiment, truth = scene()
+    coarse = screening_spacing(experiment.capture)
+    own, lent = (experiment.compare(truth, spacing) for spacing in (default(), coarse))
+    monkeypatch.setattr(Experiment, "assess", lambda *_: SimpleNamespace(worst=worst))
+    found = grids._with_tangents(
+        experiment, experiment.compare(truth, default(), jacobian=False), truth, default()
+    )
+    for name, item in found.items():
+        assert np.array_equal(item.predicted, own[name].predicted, equal_nan=True)
+        wanted = lent if worst < 1.1 else own
+        assert np.array_equal(item.jacobian, wanted[name].jacobian, equal_nan=True)
+        assert not np.array_equal(own[name].jacobian, lent[name].jacobian, equal_nan=True)
+
+    def unstable(*_: object, **__: object) -> None:
+        raise SimulationError("too soft")
+
+    monkeypatch.setattr(experiment.predictor("a", coarse), "predict", unstable)
+    experiment.predictor("a", coarse).forget()
+    kept = grids._with_tangents(experiment, found, truth, default())
+    assert np.array_equal(kept["a"].jacobian, own["a"].jacobian, equal_nan=True)
+
+
 def test_no_step_where_another_grid_cannot_carry_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, truth = scene()
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
+from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR, PRACTICAL_FLOOR, Compared
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.extend.finer import compared_by, finer
@@ -137,13 +137,33 @@ def on_grid(
         if tangents and solution.evaluation.misfit <= EXPLAINED:
             # It may be concluded from: its tangents on all frames, which cost most, are asked for once.
             solution = _to_last_digits(problem, solution.belief)
-        compared = experiment.compare(solution.belief, spacing, jacobian=tangents)
+        compared = experiment.compare(solution.belief, spacing, jacobian=False)
+        if tangents:
+            compared = _with_tangents(experiment, compared, solution.belief, spacing)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     return step.refitted(solution, compared, assessment, spacing=spacing, lender=None, beside=None)
+
+
+def _with_tangents(
+    experiment: Experiment, compared: dict[str, Compared], belief: Belief, spacing: float
+) -> dict[str, Compared]:
+    """A comparison with the tangents of its prediction on all frames, the dearest of all runs.
+
+    Those of the screening grid where the misfit itself says that the model explains the motion: they decide
+    nothing then.
+    """
+    coarse = screening_spacing(experiment.capture)
+    if spacing > coarse / LENDS or experiment.assess(compared).worst > PRACTICAL_FLOOR:
+        return experiment.compare(belief, spacing)
+    try:
+        there = experiment.compare(belief, coarse)
+    except SimulationError:  # the coarse grid cannot carry it
+        return experiment.compare(belief, spacing)
+    return {name: replace(item, jacobian=there[name].jacobian) for name, item in compared.items()}
 
 
 def _to_last_digits(problem: Problem, belief: Belief) -> Solution:
