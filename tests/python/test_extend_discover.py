@@ -23,7 +23,7 @@ from extend_example import (
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend import discover, settle, window
-from mphygs.extend.discover import promising, refits_of
+from mphygs.extend.discover import followed_onward, promising, refits_of
 from mphygs.extend.grids import onward
 from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
@@ -31,6 +31,7 @@ from mphygs.extend.window import tractable_window
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 
 KEY = "part0.youngs_modulus"
 
@@ -257,6 +258,42 @@ def ranking_of(*entries: Entry, misfit: float = 10.0, decoy: float = 0.0) -> Ran
 
 def names(entries: list[Entry]) -> list[str]:
     return [entry.effect for entry in entries]
+
+
+def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    # By effect, chi^2 at each share of the frames that a refit is brought to.
+    courses = {
+        "viscosity": {0.5: 100.0, 1.0: 100.0},
+        "air_drag": {0.5: 120.0, 1.0: 100.0},
+        "mass_damping": {0.5: 130.0, 1.0: 110.0},
+        "wind": {0.5: 300.0, 1.0: 100.0},  # the fifth, and not alike
+        "gravity": {},  # cannot be simulated there
+        "plasticity": {0.5: 110.0, 0.75: 900.0, 1.0: 100.0},  # the only one at 0.75
+    }
+    fitted: list[tuple[str, float]] = []
+
+    def fit(share: float, belief: str) -> object:
+        fitted.append((belief, share))
+        if share not in courses[belief]:
+            raise SimulationError("unstable")
+        return SimpleNamespace(belief=belief, evaluation=evaluation_of(courses[belief][share]))
+
+    monkeypatch.setattr(discover, "fit_what_sets_in", fit)
+    experiment = SimpleNamespace(window=lambda spacing, share: share)
+    begun = [
+        (
+            entry_of(name, 100.0, kind="threshold" if name == "plasticity" else "smooth"),
+            SimpleNamespace(belief=name),
+        )
+        for name in courses
+    ]
+    found = followed_onward(experiment, 0.25, begun, SPACING)
+    assert {entry.effect for entry, _ in found} == {"viscosity", "air_drag", "mass_damping", "plasticity"}
+    assert ("wind", 1.0) not in fitted
+    assert [share for name, share in fitted if name == "plasticity"] == [0.5, 0.75, 1.0]
+    assert all(solution.evaluation.chi_square < 111.0 for _, solution in found)
+    few = [item for item in begun if item[0].effect in ("viscosity", "air_drag", "wind")]
+    assert len(followed_onward(experiment, 0.25, few, SPACING)) == 3  # so many go on whatever they leave
 
 
 def test_only_what_is_significant_is_tried() -> None:

@@ -164,17 +164,11 @@ def refits_of(
     begun.sort(key=lambda item: item[0])
     if window[0] < 1.0:
         # Over a short window many effects do alike: a few iterations on all frames tell them apart.
-        alike = [item for item in begun if item[0] < ALIKE * begun[0][0]]
-        begun = []
-        for _, entry, solution in alike:
-            # The motion is followed from the window on, not met all at once: half a swing off there is no way
-            # back.
-            try:
-                for share in onward(window[0], entry.kind):
-                    solution = fit_what_sets_in(experiment.window(spacing, share), solution.belief)
-            except SimulationError:
-                continue
-            begun.append((solution.evaluation.chi_square, entry, solution))
+        alike = [(entry, fit) for chi_square, entry, fit in begun if chi_square < ALIKE * begun[0][0]]
+        begun = [
+            (solution.evaluation.chi_square, entry, solution)
+            for entry, solution in followed_onward(experiment, window[0], alike, spacing)
+        ]
         begun.sort(key=lambda item: item[0])
     finished: list[Refit] = []
     for number, (chi_square, entry, solution) in enumerate(begun):
@@ -200,6 +194,37 @@ def refits_of(
                 "in the worst range"
             )
     return finished
+
+
+def followed_onward(
+    experiment: Experiment, share: float, begun: Sequence[tuple[Entry, Solution]], spacing: float
+) -> list[tuple[Entry, Solution]]:
+    """Refits to a share of the frames brought to all of them, side by side.
+
+    The motion is followed from the window on, not met all at once: half a swing off there is no way back. Who
+    falls behind others on the way is not brought to the end.
+    """
+    followed = [(entry, solution, onward(share, entry.kind)) for entry, solution in begun]
+    for reach in sorted({reach for _, _, plan in followed for reach in plan}):
+        problem, passing, there = experiment.window(spacing, reach), [], []
+        for entry, solution, plan in followed:
+            if reach not in plan:
+                passing.append((entry, solution, plan))
+                continue
+            try:
+                there.append((entry, fit_what_sets_in(problem, solution.belief), plan))
+            except SimulationError:
+                continue
+        there.sort(key=lambda item: item[1].evaluation.chi_square)
+        if reach < 1.0:
+            there = [
+                item
+                for number, item in enumerate(there)
+                if number < FINISHED
+                or item[1].evaluation.chi_square < ALIKE * there[0][1].evaluation.chi_square
+            ]
+        followed = passing + there
+    return [(entry, solution) for entry, solution, _ in followed]
 
 
 def _hopeless(experiment: Experiment, finished: Sequence[Refit], spacing: float) -> float:
