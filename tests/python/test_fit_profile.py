@@ -39,7 +39,9 @@ class Formula:
             residual = np.array([(a + 2.0) ** self.power - 1.0, b]) / SIGMA
             slope = np.diag([self.power * (a + 2.0) ** (self.power - 1.0), 1.0]) / SIGMA
         columns = [k for k, key in enumerate(KEYS) if belief[key].free]
-        return Evaluation(residual, slope[:, columns], 2, 0, {}, {}, 1)
+        prior = np.array([p.prior_residual for p in belief.free]).reshape(-1, 2)
+        rows = np.concatenate([slope[:, columns], np.diag(prior[:, 1])])
+        return Evaluation(np.r_[residual, prior[:, 0]], rows, 2, len(prior), {}, {}, 1)
 
 
 KEYS = ("part0.youngs_modulus", "part1.youngs_modulus")
@@ -59,6 +61,15 @@ def test_the_interval_of_a_linear_problem_is_its_standard_errors() -> None:
         low, high = (math.log(v / 1e4) for v in (found[key].lower, found[key].upper))
         assert low == pytest.approx(0.5 - 2.0 * SIGMA / math.sqrt(2.0), abs=0.03 * SIGMA)
         assert high == pytest.approx(0.5 + 2.0 * SIGMA / math.sqrt(2.0), abs=0.03 * SIGMA)
+
+
+def test_a_prior_narrows_its_own_parameters_interval() -> None:
+    belief = belief_at(0.5, 0.5)
+    prior = {"prior_mean": math.log(1e4) + 0.5, "prior_std": SIGMA / math.sqrt(2.0)}  # as good as the data
+    found = intervals(Formula(), belief.with_parameter(KEYS[0], **prior))
+    high = [math.log(found[key].upper / 1e4) for key in KEYS]
+    assert high[0] == pytest.approx(0.5 + SIGMA, abs=0.03 * SIGMA)
+    assert high[1] == pytest.approx(0.5 + 2.0 * SIGMA / math.sqrt(2.0), abs=0.03 * SIGMA)
 
 
 def test_the_interval_of_a_curved_problem_is_lopsided_as_it_should_be() -> None:

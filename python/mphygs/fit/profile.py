@@ -76,6 +76,8 @@ class Profile:
             cost = refit.evaluation.cost
         else:
             cost = self.problem.evaluate(held, jacobian=False).cost
+        # Its own prior is not among those of the free ones any more.
+        cost += 0.5 * there.prior_residual[0] ** 2
         rise = cost - self.solution.evaluation.cost
         return math.copysign(math.sqrt(2.0 * max(rise, 0.0)), away)
 
