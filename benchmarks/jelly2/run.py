@@ -1,4 +1,4 @@
-"""Speed of the MLS-MPM transfer beside Taichi, Warp and plain PyTorch, on one workload in one run.
+"""Speed of both transfers beside Taichi, Warp and plain PyTorch, on one workload in one run.
 
     pip install . -r benchmarks/jelly2/requirements.txt
     python benchmarks/jelly2/run.py
@@ -100,7 +100,7 @@ def write(text: str) -> None:
     path = Path(__file__).resolve().parents[1] / "README.md"
     page = path.read_text() if path.exists() else "# Benchmarks\n"
     if BEGIN not in page:
-        page = f"{page.rstrip()}\n\n## jelly2: speed of MLS-MPM beside its peers\n\n{BEGIN}\n{END}\n"
+        page = f"{page.rstrip()}\n\n## jelly2: speed beside peers\n\n{BEGIN}\n{END}\n"
     before, rest = page.split(BEGIN)
     path.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}")
 
