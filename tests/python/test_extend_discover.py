@@ -22,9 +22,9 @@ from extend_example import (
 )
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, Ranking
-from mphygs.extend import discover, settle, window
-from mphygs.extend.discover import followed_onward, promising, refits_of
+from mphygs.extend import discover, refits, settle, window
 from mphygs.extend.grids import onward
+from mphygs.extend.refits import followed_onward, promising, refits_of
 from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
 from mphygs.extend.window import tractable_window
@@ -278,7 +278,7 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
             raise SimulationError("unstable")
         return SimpleNamespace(belief=belief, evaluation=evaluation_of(courses[belief][share]))
 
-    monkeypatch.setattr(discover, "fit_what_sets_in", fit)
+    monkeypatch.setattr(refits, "fit_what_sets_in", fit)
     experiment = SimpleNamespace(window=lambda spacing, share: share)
     begun = [
         (
@@ -306,7 +306,7 @@ def test_only_what_is_significant_is_tried() -> None:
 
 def test_so_many_are_begun_that_come_near_the_best() -> None:
     many = [entry_of(f"effect{k}", 1000.0 - k) for k in range(9)]
-    assert promising(ranking_of(*many)) == many[: discover.BEGUN]
+    assert promising(ranking_of(*many)) == many[: refits.BEGUN]
     few = [entry_of("viscosity", 1000.0), entry_of("gravity", 101.0), entry_of("wind", 99.0)]
     assert names(promising(ranking_of(*few))) == ["viscosity", "gravity"]
 
@@ -318,7 +318,7 @@ def test_each_kind_gets_a_hearing() -> None:
     later = entry_of("plasticity", 29.0, kind="threshold")
     # The fault explains less than 2 % of what the best would.
     found = promising(ranking_of(*many, wall, later, fault))
-    assert found == [*many[: discover.BEGUN], wall]
+    assert found == [*many[: refits.BEGUN], wall]
     assert promising(ranking_of(*many, wall, replace(fault, statistic=21.0)))[-1].effect == "time_offset"
     # One that is among the best already is not tried twice.
     assert names(promising(ranking_of(many[0], replace(wall, statistic=900.0)))) == ["effect0", "contact"]
@@ -528,15 +528,15 @@ def test_only_what_pays_sets_a_bound_for_others(
         assert refit.pays is pays
         return refit
 
-    monkeypatch.setattr(discover, "start_refit", start_refit)
-    monkeypatch.setattr(discover, "finish_refit", finish_refit)
-    monkeypatch.setattr(discover, "unabsorbed", lambda *_: own)
+    monkeypatch.setattr(refits, "start_refit", start_refit)
+    monkeypatch.setattr(refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(refits, "unabsorbed", lambda *_: own)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     current = step_of(assessment_of(5.0))
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4, rows)))
     refits_of(None, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
     assert bounds["base_motion"] == np.inf
-    assert bounds["relaxation"] == pytest.approx(discover.ALIKE * bound)
+    assert bounds["relaxation"] == pytest.approx(refits.ALIKE * bound)
 
 
 def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -546,9 +546,9 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
         begun.append(entry.effect)
         return solution_of(plain_belief(), evaluation_of(2e3)) if entry.effect == "air_drag" else None
 
-    monkeypatch.setattr(discover, "start_refit", start_refit)
-    monkeypatch.setattr(discover, "finish_refit", lambda *_, **__: None)
-    near = (1e4 - discover.ALIKE * 2e3) / discover.BEYOND_TANGENTS
+    monkeypatch.setattr(refits, "start_refit", start_refit)
+    monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
+    near = (1e4 - refits.ALIKE * 2e3) / refits.BEYOND_TANGENTS
     entries = [
         entry_of("air_drag", 6e3), entry_of("fibre", near + 1.0), entry_of("tether", near - 1.0),
         entry_of("contact", near - 2.0, kind="threshold"), entry_of("frame_drift", 1.2e3, kind="measurement"),

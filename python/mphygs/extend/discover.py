@@ -9,21 +9,19 @@ import numpy as np
 
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
-from mphygs.diagnose.grid_error import allowance_of, unabsorbed
+from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
-from mphygs.diagnose.rank import Entry, Ranking, rank
-from mphygs.extend.grids import onward, polished, probed, refined, with_budget
+from mphygs.diagnose.rank import Ranking, rank
+from mphygs.extend.grids import polished, probed, refined, with_budget
 from mphygs.extend.prune import anew, pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
-from mphygs.extend.refit import Refit, finish_refit, start_refit
-from mphygs.extend.setting_in import fit_what_sets_in
-from mphygs.extend.settle import ALIKE, choose, settled, step_of
+from mphygs.extend.refits import SCREENING_ACCURACY, refits_of
+from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import default_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -32,26 +30,11 @@ from mphygs.simulate.errors import SimulationError
 LARGEST_MODEL = 3
 # A misfit up to here [sigma] is the noise's and leaves nothing to gain.
 NOISE = 1.03
-# So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
-# chi^2.
-BEGUN, FINISHED, NEARLY = 8, 3, 1.25
-# An effect predicted to explain less than this share of what the best would is not begun.
-WORTH_A_TRY = 0.1
-SIGNIFICANT = 1e-3
-# Below this misfit [sigma] an effect is tried only where it is predicted to take this share of the excess,
-# and, short of this share of what the best takes, more than effects that do nothing.
-LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
-# Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
-# near the best one even then is not begun. What sets in has no tangents.
-TELLING, BEYOND_TANGENTS = 4.0, 3.0
-# An effect that leaves so many times the best one's chi^2 after an iteration is not followed.
-HOPELESS = 10.0
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.9
-# A grid within this factor of the default one is no screening grid; on others a fit is not worth its last
-# digits.
-FINE, SCREENING_ACCURACY = 1.1, 1e-3
+# A grid within this factor of the default one is no screening grid.
+FINE = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,132 +95,6 @@ def first_fit(
     )
     compared = experiment.compare(solution.belief, spacing)
     return Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
-
-
-def promising(ranking: Ranking) -> list[Entry]:
-    """Entries worth a refit: significant, the best first; physics and faults each get a hearing.
-
-    Where the misfit is large the linear prediction is a poor judge: dissipative effects, say, are told apart
-    by refits, not by scores. So many are begun and few are finished. Where it is small the prediction holds,
-    and what would leave nearly all of the misfit, or explains less than an effect that does nothing, is not
-    tried.
-    """
-    good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
-    if ranking.chi_square < LINEAR**2 * ranking.rows:
-        beyond = ranking.chi_square - ranking.rows
-        # Smooth decoys do as well as most effects before a refit: they exclude none that is near the best.
-        most = good[0].statistic if good else 0.0
-        floor = max(WORTH_A_REFIT * beyond, min(ranking.decoy_statistic, NEAR_BEST * most))
-        good = [e for e in good if e.statistic > floor]
-    if not good:
-        return []
-    chosen = [e for e in good if e.statistic > WORTH_A_TRY * good[0].statistic][:BEGUN]
-    for kind in ("smooth", "threshold", "measurement"):
-        rest = [e for e in good if e.kind == kind]
-        if rest and rest[0] not in chosen and rest[0].statistic > 0.02 * good[0].statistic:
-            chosen.append(rest[0])
-    return chosen
-
-
-def refits_of(
-    experiment: Experiment,
-    current: Step,
-    window: tuple[float, Solution],
-    ranking: Ranking,
-    spacing: float,
-    generator: np.random.Generator,
-    say: Callable[[str], None],
-) -> list[Refit]:
-    """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
-    begun = []
-    for entry in promising(ranking):
-        best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
-        least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
-        telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
-        if telling and least > ALIKE * best:
-            continue
-        solution = start_refit(
-            experiment, window[1], entry, spacing, share=window[0], hopeless=HOPELESS * best, report=say
-        )
-        if solution is not None:
-            begun.append((solution.evaluation.chi_square, entry, solution))
-    begun.sort(key=lambda item: item[0])
-    if window[0] < 1.0:
-        # Over a short window many effects do alike: a few iterations on all frames tell them apart.
-        alike = [(entry, fit) for chi_square, entry, fit in begun if chi_square < ALIKE * begun[0][0]]
-        begun = [
-            (solution.evaluation.chi_square, entry, solution)
-            for entry, solution in followed_onward(experiment, window[0], alike, spacing)
-        ]
-        begun.sort(key=lambda item: item[0])
-    finished: list[Refit] = []
-    for number, (chi_square, entry, solution) in enumerate(begun):
-        # What the coarse grid has of its own may put the true effect a little behind.
-        if chi_square > (3.0 if number < FINISHED else NEARLY) * begun[0][0]:
-            break
-        result = finish_refit(
-            experiment,
-            current.solution,
-            current.compared,
-            entry,
-            solution,
-            spacing,
-            generator=generator,
-            accuracy=SCREENING_ACCURACY,
-            hopeless=_hopeless(experiment, finished, spacing),
-            report=say,
-        )
-        if result is not None:
-            finished.append(result)
-            say(
-                f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma "
-                "in the worst range"
-            )
-    return finished
-
-
-def followed_onward(
-    experiment: Experiment, share: float, begun: Sequence[tuple[Entry, Solution]], spacing: float
-) -> list[tuple[Entry, Solution]]:
-    """Refits to a share of the frames brought to all of them, side by side.
-
-    The motion is followed from the window on, not met all at once: half a swing off there is no way back. Who
-    falls behind others on the way is not brought to the end.
-    """
-    followed = [(entry, solution, onward(share, entry.kind)) for entry, solution in begun]
-    for reach in sorted({reach for _, _, plan in followed for reach in plan}):
-        problem, passing, there = experiment.window(spacing, reach), [], []
-        for entry, solution, plan in followed:
-            if reach not in plan:
-                passing.append((entry, solution, plan))
-                continue
-            try:
-                there.append((entry, fit_what_sets_in(problem, solution.belief), plan))
-            except SimulationError:
-                continue
-        there.sort(key=lambda item: item[1].evaluation.chi_square)
-        if reach < 1.0:
-            there = [
-                item
-                for number, item in enumerate(there)
-                if number < FINISHED
-                or item[1].evaluation.chi_square < ALIKE * there[0][1].evaluation.chi_square
-            ]
-        followed = passing + there
-    return [(entry, solution) for entry, solution, _ in followed]
-
-
-def _hopeless(experiment: Experiment, finished: Sequence[Refit], spacing: float) -> float:
-    """chi^2 of the fitted frames above which no further refit is brought to the end."""
-    # What does not pay may have bought the fitted frames: it sets no bound.
-    paying = [r for r in finished if r.pays]
-    if not paying:
-        return np.inf
-    best = min(paying, key=lambda r: r.solution.evaluation.chi_square)
-    evaluation = best.solution.evaluation
-    # Nothing is better than noise, nor told apart within what the grid has of its own.
-    own = unabsorbed(experiment, spacing, best.belief, evaluation)
-    return ALIKE * max(evaluation.chi_square, evaluation.data_rows * (1.0 + own**2))
 
 
 def discover(
