@@ -68,6 +68,21 @@ def test_intervals_can_be_asked_for_afterwards(fitted: dict, tmp_path: Path) -> 
     assert "interval (2 sd)" in out
 
 
+def test_no_intervals_of_pictures(
+    capture: Path, fitted: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shutil.copytree(fitted["run"], tmp_path / "run")
+    document = json.loads((folder / "run.json").read_text()) | {"stages": str(tmp_path)}
+    (folder / "run.json").write_text(json.dumps(document))
+    # Before any stage is run, of a new fit as of one that is resumed.
+    monkeypatch.setattr(command, "has_stages", lambda _: True)
+    monkeypatch.setattr(command, "run_stages", lambda *_: pytest.fail("a stage was run"))
+    for arguments in ((capture, "--out", tmp_path / "new"), ("--out", folder, "--resume")):
+        code, _, said = call(command.main, *arguments, "--intervals")
+        assert code == 2
+        assert "--intervals: got a capture in pictures; expected one with markers" in said
+
+
 def test_run_folder_holds_the_same_numbers_twice(fitted: dict) -> None:
     folder = Path(fitted["run"])
     document = json.loads((folder / "run.json").read_text())

@@ -210,6 +210,11 @@ def _check(options: FitOptions) -> None:
     check_effects(options.transfer, names(options.effects))
 
 
+def _check_intervals(options: FitOptions, *, pictures: bool) -> None:
+    if options.intervals and pictures:
+        raise OptionError("--intervals: got a capture in pictures; expected one with markers")
+
+
 def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     """A run that begins, and its capture."""
     out, stages = options.out, None
@@ -226,9 +231,8 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         capture = load_capture(path)
         out = out or RUNS / capture.name
         _claim(out)
+        _check_intervals(options, pictures=has_stages(capture))
         stages, capture = _seen(options, capture, out, console)
-    if stages is not None and options.intervals:
-        raise OptionError("--intervals: of captures with markers; expected no --intervals for pictures")
     if stages is None and (options.without or options.homogeneous or options.stages):
         name = "--without" if options.without else "--homogeneous" if options.homogeneous else "--stages"
         raise OptionError(f"{name}: {path} has markers; expected a capture in pictures")
@@ -342,6 +346,7 @@ def _resumed(options: FitOptions, console: Console) -> Run:
             raise OptionError(
                 f"--{key}: got {value}, but {folder} began with {stored}; expected the same options to resume"
             )
+    _check_intervals(options, pictures=state.stages is not None)
     if state.complete:
         console.say(f"{folder}: the fit is complete")
     else:
