@@ -34,12 +34,8 @@ inline Numbers falloff(Numbers s) {
     const Numbers r = (-s - n * 0.693359375f) + n * 2.12194440e-4f;
     const Numbers e =
         (((((r * (1.0f / 720) + 1.0f / 120) * r + 1.0f / 24) * r + 1.0f / 6) * r + 0.5f) * r + 1.0f) * r + 1.0f;
-    Mask bits;
-    std::memcpy(&bits, &e, sizeof bits);
-    bits += __builtin_convertvector(n, Mask) << 23;
-    Numbers value;
-    std::memcpy(&value, &bits, sizeof value);
-    return value;
+    const Mask bits = read<Mask>(&e) + (convert<Mask>(n) << 23);
+    return read<Numbers>(&bits);
 }
 
 /// Half the squared distance from a splat's centre in its own metric, over one pack of a row.
@@ -135,7 +131,7 @@ void draw_tile(const TileBox& box, const Splat* splats, const float* values, int
             std::memcpy(open + pixel, &still_open, sizeof still_open);
             store(transmittance + pixel, select(shown, after, before));
             Mask l = load_mask(last + pixel);
-            l = shown ? Mask{} + (e + 1) : l;
+            l = choose(shown, Mask{} + (e + 1), l);
             std::memcpy(last + pixel, &l, sizeof l);
             const Numbers weight = select(shown, alpha * before, Numbers{});
             for (int c = 0; c < count; ++c) {

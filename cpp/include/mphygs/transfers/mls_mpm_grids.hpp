@@ -128,7 +128,7 @@ class MlsGrids {
     static void normalise_four(T* nodes) {
         const Row<T> value = read<Row<T>>(nodes);
         const Row<T> mass = fourth(value);
-        const Row<T> inverse = mass > least_mass ? T(1) / mass : Row<T>{};
+        const Row<T> inverse = choose(mass > least_mass, T(1) / mass, Row<T>{});
         write(nodes, keep_fourth(value * inverse, value));
     }
 

@@ -1,11 +1,11 @@
 // Vectors of the MLS-MPM row kernels, and the change between "a particle a row" and "a number a row".
 //
 // Row: sixteen numbers, four grid nodes {x, y, z, m}. Wide: as many particles as a 64-byte register
-// holds. All are compiler vectors: what the target lacks is split by the compiler.
+// holds.
 #pragma once
 
 #include "mphygs/transfers/mls_mpm_tile.hpp"
-#include "mphygs/transfers/spline_tables.hpp"  // RowOf: four numbers
+#include "mphygs/vector.hpp"
 
 namespace mphygs {
 
@@ -13,71 +13,62 @@ template <class T>
 struct MlsVector;
 template <>
 struct MlsVector<float> {
-    using row __attribute__((vector_size(64))) = float;
-    using wide __attribute__((vector_size(64))) = float;
     static constexpr int wide_count = 16;
 };
 template <>
 struct MlsVector<double> {
-    using row __attribute__((vector_size(128))) = double;
-    using wide __attribute__((vector_size(64))) = double;
     static constexpr int wide_count = 8;
 };
 template <class T>
-using Row = typename MlsVector<T>::row;
+using Row = Vector<T, 16>;
 template <class T>
-using Quad = typename RowOf<T>::type;
+using Quad = Vector<T, 4>;
 template <class T>
-using Wide = typename MlsVector<T>::wide;
+using Wide = Vector<T, MlsVector<T>::wide_count>;
 
-template <class V, class T>
-inline V read(const T* p) {
-    V v;
-    std::memcpy(&v, p, sizeof v);
-    return v;
+/// Of a row's nodes: the place along it, in {-1, 0, 1}; nothing for the fourth.
+template <class T>
+inline Row<T> node_signs() {
+    alignas(64) static constexpr T signs[16] = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
+    return read<Row<T>>(signs);
 }
-template <class V, class T>
-inline void write(T* p, const V& v) {
-    std::memcpy(p, &v, sizeof v);
-}
-
 /// Block k of four numbers, four times.
 template <int k, class R>
 inline R repeat(R r) {
     constexpr int i = 4 * k;
-    return __builtin_shufflevector(r, r, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3);
+    return shuffle<i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3, i, i + 1, i + 2, i + 3>(r, r);
 }
 /// Each of the first four numbers four times.
 template <class R>
 inline R stretch(R r) {
-    return __builtin_shufflevector(r, r, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+    return shuffle<0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3>(r, r);
 }
 /// The fourth number of each node, four times.
 template <class R>
 inline R fourth(R r) {
-    return __builtin_shufflevector(r, r, 3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11, 15, 15, 15, 15);
+    return shuffle<3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11, 15, 15, 15, 15>(r, r);
 }
 /// The first three numbers of each node from a, the fourth from b.
 template <class R>
 inline R keep_fourth(R a, R b) {
-    return __builtin_shufflevector(a, b, 0, 1, 2, 19, 4, 5, 6, 23, 8, 9, 10, 27, 12, 13, 14, 31);
+    return shuffle<0, 1, 2, 19, 4, 5, 6, 23, 8, 9, 10, 27, 12, 13, 14, 31>(a, b);
 }
 /// Sum of the first three numbers of each node, four times.
 template <class R>
 inline R sum_three(R r) {
-    return __builtin_shufflevector(r, r, 0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12) +
-           __builtin_shufflevector(r, r, 1, 1, 1, 1, 5, 5, 5, 5, 9, 9, 9, 9, 13, 13, 13, 13) +
-           __builtin_shufflevector(r, r, 2, 2, 2, 2, 6, 6, 6, 6, 10, 10, 10, 10, 14, 14, 14, 14);
+    return shuffle<0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12>(r, r) +
+           shuffle<1, 1, 1, 1, 5, 5, 5, 5, 9, 9, 9, 9, 13, 13, 13, 13>(r, r) +
+           shuffle<2, 2, 2, 2, 6, 6, 6, 6, 10, 10, 10, 10, 14, 14, 14, 14>(r, r);
 }
 /// The four numbers of which a (b, c, d) has four each, summed over the nodes: {a, b, c, d}.
 template <class R>
 inline R sum_nodes(R a, R b, R c, R d) {
-    const R ab = __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23) +
-                 __builtin_shufflevector(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31);
-    const R cd = __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23) +
-                 __builtin_shufflevector(c, d, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31);
-    return __builtin_shufflevector(ab, cd, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27) +
-           __builtin_shufflevector(ab, cd, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31);
+    const R ab = shuffle<0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23>(a, b) +
+                 shuffle<8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31>(a, b);
+    const R cd = shuffle<0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23>(c, d) +
+                 shuffle<8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31>(c, d);
+    return shuffle<0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27>(ab, cd) +
+           shuffle<4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31>(ab, cd);
 }
 
 /// A register of particles for each of sixteen numbers, by blocks of four.
@@ -88,23 +79,23 @@ struct Columns {
 
 namespace detail {
 using F = Row<float>;
-inline F low32(F a, F b) { return __builtin_shufflevector(a, b, 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29); }
-inline F high32(F a, F b) { return __builtin_shufflevector(a, b, 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31); }
-inline F low64(F a, F b) { return __builtin_shufflevector(a, b, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29); }
-inline F high64(F a, F b) { return __builtin_shufflevector(a, b, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31); }
-inline F even128(F a, F b) { return __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27); }
-inline F odd128(F a, F b) { return __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31); }
+inline F low32(F a, F b) { return shuffle<0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29>(a, b); }
+inline F high32(F a, F b) { return shuffle<2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31>(a, b); }
+inline F low64(F a, F b) { return shuffle<0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29>(a, b); }
+inline F high64(F a, F b) { return shuffle<2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31>(a, b); }
+inline F even128(F a, F b) { return shuffle<0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27>(a, b); }
+inline F odd128(F a, F b) { return shuffle<4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31>(a, b); }
 
 struct Four {
     F a, b, c, d;
 };
 /// 4x4 blocks of numbers, transposed within each.
-inline Four transpose_small(F a, F b, F c, F d) {
+[[gnu::always_inline]] inline Four transpose_small(F a, F b, F c, F d) {
     const F ab = low32(a, b), cd = low32(c, d), ef = high32(a, b), gh = high32(c, d);
     return {low64(ab, cd), high64(ab, cd), low64(ef, gh), high64(ef, gh)};
 }
 /// The blocks themselves.
-inline Four transpose_blocks(F a, F b, F c, F d) {
+[[gnu::always_inline]] inline Four transpose_blocks(F a, F b, F c, F d) {
     const F e = even128(a, b), f = even128(c, d), o = odd128(a, b), p = odd128(c, d);
     return {even128(e, f), even128(o, p), odd128(e, f), odd128(o, p)};
 }

@@ -99,7 +99,7 @@ class MlsParticles {
                 const P scaled = (load<T>(&state_.order->rest[slot_of(a, rest_numbers, p)]) +
                                   load<T>(&state_.moving[slot_of(a, moving_numbers, p)])) *
                                  inverse_spacing_;
-                const PackMask<T> index = __builtin_convertvector(nearest(scaled), PackMask<T>);
+                const PackMask<T> index = convert<PackMask<T>>(nearest(scaled));
                 for (int q = 0; q < lane_count; ++q) {
                     node[c][p + static_cast<std::size_t>(q)] = static_cast<std::int32_t>(index[q]);
                 }

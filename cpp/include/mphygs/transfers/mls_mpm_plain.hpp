@@ -8,22 +8,12 @@
 
 namespace mphygs {
 
-/// ln x lane by lane, by packs of eight.
-inline Wide<double> wide_logarithm(Wide<double> x) { return logarithm(x); }
-inline Wide<float> wide_logarithm(Wide<float> x) {
-    Pack<float> half[2];
-    std::memcpy(half, &x, sizeof x);
-    half[0] = logarithm(half[0]);
-    half[1] = logarithm(half[1]);
-    std::memcpy(&x, half, sizeof x);
-    return x;
-}
-
 /// ln (1 + x) to the last digits of x: what the rounding of 1 + x took comes back.
 template <class W>
 inline W wide_logarithm_of_one_plus(W x) {
-    const W sum = x + typename std::remove_cvref_t<decltype(x[0])>(1);
-    return wide_logarithm(sum) + (x - (sum - typename std::remove_cvref_t<decltype(x[0])>(1)));
+    using T = typename VectorOf<W>::element;
+    const W sum = x + T(1);
+    return logarithm(sum) + (x - (sum - T(1)));
 }
 
 /// det (I + H) - 1.

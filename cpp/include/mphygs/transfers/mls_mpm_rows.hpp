@@ -93,7 +93,7 @@ inline void gather_rows(MlsTile<T, 0>& tile, const T* grid, const std::array<int
         const R value = (b0 * t1 + (bm0 + bp2)) * fast;
         const R by_middle = (bp2 - bm0) * fast;
         const R by_slow = (bm * (p0 - m0) + (b0 * (p1 - m1) + bp * (p2 - m2))) * fast;
-        constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
+        const R sign = node_signs<T>();
         write(&out[16 * p], sum_nodes(value, by_slow, by_middle, value * sign));
     }
     finish_gather<T>(out, tile.s[0], axis, tile, nullptr);
@@ -139,7 +139,7 @@ inline void scatter_given(const MlsTile<T, 0>& tile, const RowWeights<T>& w, con
         }
         const R given = read<R>(&rows[16 * p]);
         const R fast = stretch(read<R>(&w.fast[4 * p]));
-        constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
+        const R sign = node_signs<T>();
         const R z0 = (repeat<0>(given) + repeat<3>(given) * sign) * fast;
         const R za = repeat<1>(given) * fast;
         const R zb = repeat<2>(given) * fast;

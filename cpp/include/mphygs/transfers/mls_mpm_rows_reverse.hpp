@@ -58,7 +58,7 @@ template <class T>
 [[gnu::always_inline]] inline Row<T> slope_sums(const NineRows<Row<T>>& r, const T* given, const RowWeights<T>& w, const RowSlopes<T>& d,
                                                 std::size_t p) {
     using R = Row<T>;
-    constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
+    const R sign = node_signs<T>();
     const R y = read<R>(given);
     const R y0 = repeat<0>(y) + repeat<3>(y) * sign, ya = repeat<1>(y), yb = repeat<2>(y);
     const R ym = y0 - ya, yp = y0 + ya;
@@ -98,7 +98,7 @@ inline void reverse_scatter_rows(const MlsTile<T, 0>& given, const T* grid, cons
         const T am = w.slow[0][p], a0 = w.slow[1][p], ap = w.slow[2][p];
         const T bm = w.middle[0][p], b0 = w.middle[1][p], bp = w.middle[2][p];
         const R fast = stretch(read<R>(&w.fast[4 * p]));
-        constexpr R sign = {-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0};
+        const R sign = node_signs<T>();
         const R m0 = am * r.r00, m1 = am * r.r01, m2 = am * r.r02, p0 = ap * r.r20, p1 = ap * r.r21, p2 = ap * r.r22;
         const R t0 = a0 * r.r10 + (m0 + p0), t1 = a0 * r.r11 + (m1 + p1), t2 = a0 * r.r12 + (m2 + p2);
         const R bm0 = bm * t0, bp2 = bp * t2;

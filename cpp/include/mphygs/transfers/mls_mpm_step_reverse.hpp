@@ -128,7 +128,7 @@ class MlsStepReverse {
             std::size_t i = 0;
             for (; i + 4 <= count; i += 4) {
                 const Row<T> v = read<Row<T>>(value + 4 * i), v_bar = read<Row<T>>(bar + 4 * i), mass = fourth(v);
-                const Row<T> inverse = mass > MlsGrids<T>::least_mass ? T(1) / mass : Row<T>{};
+                const Row<T> inverse = choose(mass > MlsGrids<T>::least_mass, T(1) / mass, Row<T>{});
                 write(bar + 4 * i, keep_fourth(v_bar * inverse, -sum_three(v * v_bar) * inverse));
             }
             for (; i < count; ++i) {

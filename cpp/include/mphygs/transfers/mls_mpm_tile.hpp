@@ -70,19 +70,10 @@ struct MlsTile {
     }
 };
 
-/// Vectors of eight or more lanes: what belongs to a vector type.
-template <class V>
-struct VectorOf {
-    using T = std::remove_cvref_t<decltype(V{}[0])>;
-    static constexpr int count = sizeof(V) / sizeof(T);
-    using mask = decltype(V{} < V{});
-    using narrow __attribute__((vector_size(count * sizeof(std::int32_t)))) = std::int32_t;
-};
-
 /// Nearest whole number; the magic number makes the addition round.
 template <class V>
 inline V nearest(V x) {
-    constexpr typename VectorOf<V>::T magic = sizeof(typename VectorOf<V>::T) == 4 ? 12582912.0 : 6755399441055744.0;
+    constexpr typename VectorOf<V>::element magic = sizeof(typename VectorOf<V>::element) == 4 ? 12582912.0 : 6755399441055744.0;
     return (x + magic) - magic;
 }
 
@@ -120,17 +111,16 @@ inline typename VectorOf<V>::mask stand(const V (&x)[3], int at, T (*s)[tile_siz
         const V wanted = nearest(x[c]);
         const V low = V{} + static_cast<T>(limits.low[c]);
         const V high = V{} + static_cast<T>(limits.high[c]);
-        const V above = wanted >= low ? wanted : low;  // low for what is no number
-        const V node = above <= high ? above : high;
+        const V above = choose(wanted >= low, wanted, low);  // low for what is no number
+        const V node = choose(above <= high, above, high);
         bad |= ~(node == wanted);
         const V distance = x[c] - node;
-        std::memcpy(&s[c][at], &distance, sizeof distance);
-        seen.low[c] = seen.low[c] < node ? seen.low[c] : node;
-        seen.high[c] = seen.high[c] > node ? seen.high[c] : node;
-        corner = corner * box.count[c] + (__builtin_convertvector(node, M) - 1 - box.low[c]);
+        write(&s[c][at], distance);
+        seen.low[c] = choose(seen.low[c] < node, seen.low[c], node);
+        seen.high[c] = choose(seen.high[c] > node, seen.high[c], node);
+        corner = corner * box.count[c] + (convert<M>(node) - 1 - box.low[c]);
     }
-    const auto narrow = __builtin_convertvector(corner, typename VectorOf<V>::narrow);
-    std::memcpy(corners + at, &narrow, sizeof narrow);
+    write(corners + at, convert<Vector<std::int32_t, VectorOf<V>::count>>(corner));
     return bad;
 }
 

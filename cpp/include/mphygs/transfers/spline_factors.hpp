@@ -58,27 +58,27 @@ inline Mat3<W> factored_gradient_sums(const T* field, std::size_t stride, const 
 /// Sums over eight lanes of eight packs: lane k of the result is the sum of the k-th. Of pairs, in both halves.
 template <class W>
 inline W sums_of_lanes(const W& a, const W& b, const W& c, const W& d, const W& e, const W& f, const W& g, const W& h) {
-    if constexpr (sizeof(W) / sizeof(a[0]) == 8) {
+    if constexpr (VectorOf<W>::count == 8) {
         const auto first = [](const W& x, const W& y) {
-            return __builtin_shufflevector(x, y, 0, 8, 1, 9, 4, 12, 5, 13) + __builtin_shufflevector(x, y, 2, 10, 3, 11, 6, 14, 7, 15);
+            return shuffle<0, 8, 1, 9, 4, 12, 5, 13>(x, y) + shuffle<2, 10, 3, 11, 6, 14, 7, 15>(x, y);
         };
         const auto second = [](const W& x, const W& y) {
-            return __builtin_shufflevector(x, y, 0, 1, 8, 9, 4, 5, 12, 13) + __builtin_shufflevector(x, y, 2, 3, 10, 11, 6, 7, 14, 15);
+            return shuffle<0, 1, 8, 9, 4, 5, 12, 13>(x, y) + shuffle<2, 3, 10, 11, 6, 7, 14, 15>(x, y);
         };
         const W x = second(first(a, b), first(c, d)), y = second(first(e, f), first(g, h));
-        return __builtin_shufflevector(x, y, 0, 1, 2, 3, 8, 9, 10, 11) + __builtin_shufflevector(x, y, 4, 5, 6, 7, 12, 13, 14, 15);
+        return shuffle<0, 1, 2, 3, 8, 9, 10, 11>(x, y) + shuffle<4, 5, 6, 7, 12, 13, 14, 15>(x, y);
     } else {
         const auto first = [](const W& x, const W& y) {
-            return __builtin_shufflevector(x, y, 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29) +
-                   __builtin_shufflevector(x, y, 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31);
+            return shuffle<0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29>(x, y) +
+                   shuffle<2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31>(x, y);
         };
         const auto second = [](const W& x, const W& y) {
-            return __builtin_shufflevector(x, y, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29) +
-                   __builtin_shufflevector(x, y, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31);
+            return shuffle<0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29>(x, y) +
+                   shuffle<2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31>(x, y);
         };
         const W x = second(first(a, b), first(c, d)), y = second(first(e, f), first(g, h));
-        return __builtin_shufflevector(x, y, 0, 1, 2, 3, 16, 17, 18, 19, 8, 9, 10, 11, 24, 25, 26, 27) +
-               __builtin_shufflevector(x, y, 4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28, 29, 30, 31);
+        return shuffle<0, 1, 2, 3, 16, 17, 18, 19, 8, 9, 10, 11, 24, 25, 26, 27>(x, y) +
+               shuffle<4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28, 29, 30, 31>(x, y);
     }
 }
 

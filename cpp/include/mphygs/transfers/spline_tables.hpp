@@ -18,15 +18,7 @@ inline constexpr int node_lanes = 40;  // 9 rows of 4, padded to whole packs
 
 /// Four numbers: a row of three nodes and one lane of nothing.
 template <class T>
-struct RowOf;
-template <>
-struct RowOf<float> {
-    using type __attribute__((vector_size(16))) = float;
-};
-template <>
-struct RowOf<double> {
-    using type __attribute__((vector_size(32))) = double;
-};
+using FourNodes = Vector<T, 4>;
 
 template <class T>
 struct ValueTable {
@@ -165,13 +157,9 @@ inline Vec3<PackPair> gather_value_pair(const float* field, std::size_t second, 
 /// Adds nine rows of four to the rows of a component.
 template <class T>
 inline void add_rows(const T* flat, T* component, const Rows& rows) {
-    using Row = typename RowOf<T>::type;
     for (int r = 0; r < row_count_27; ++r) {
-        Row row, added;
-        std::memcpy(&row, component + rows[r], sizeof row);
-        std::memcpy(&added, flat + 4 * r, sizeof added);
-        row += added;
-        std::memcpy(component + rows[r], &row, sizeof row);
+        T* row = component + rows[r];
+        write(row, read<FourNodes<T>>(row) + read<FourNodes<T>>(flat + 4 * r));
     }
 }
 template <class T>
@@ -184,8 +172,8 @@ inline void add_rows(const Pack<T> (&sums)[5], T* component, const Rows& rows) {
 /// Sums of nine rows: four in a register, four in the next, and the last one.
 struct RowSums {
     PackPair first{}, second{};
-    RowOf<float>::type last{};
-    void add(float factor, const PackPair& w0, const PackPair& w1, const RowOf<float>::type& w2) {
+    FourNodes<float> last{};
+    void add(float factor, const PackPair& w0, const PackPair& w1, const FourNodes<float>& w2) {
         first += factor * w0;
         second += factor * w1;
         last += factor * w2;
@@ -217,7 +205,7 @@ inline void scatter_gradient_rows(const float (&p)[3][3][8], float* field, std::
         for (int j = 0; j < 3; ++j) {
             const float* w = table.by_point[q][j];
             const PackPair w0 = load_pair(w), w1 = load_pair(w + 16);
-            RowOf<float>::type w2;
+            FourNodes<float> w2;
             std::memcpy(&w2, w + 32, sizeof w2);
             x.add(p[0][j][q], w0, w1, w2);
             y.add(p[1][j][q], w0, w1, w2);
