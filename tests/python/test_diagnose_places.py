@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.diagnose.candidates import Way, mass_way, smooth_ways
+from mphygs.diagnose.candidates import Way, mass_way, place_digits, smooth_ways
 from mphygs.diagnose.places import mass_between
 from mphygs.simulate.prediction import Predictor, Settings
 
@@ -67,6 +69,36 @@ def test_a_mass_on_the_axis_is_found_though_all_places_are_corners() -> None:
     way = mass_between(belief, predictor.body, ways, tangents, column, own)
     place = np.array(way.settings["place"])
     assert np.all(np.abs(place[1:] - 0.01) < 0.002) and place[0] > 0.045
+
+
+def test_a_centre_that_rounds_to_a_place_has_a_label_of_its_own() -> None:
+    predictor, belief = scene()
+    places = np.array([[0.0504, 0.0044, 0.0104], [0.0496, 0.0096, 0.0096], [0.0504, 0.0164, 0.0104]])
+    ways = [mass_way(belief, place) for place in places]
+    assert ways[1].label == "attached_mass at (0.050, 0.010, 0.010)"
+    tangents = tangents_of(predictor, belief, ways)
+    none = np.zeros((len(tangents), 0))
+    way = mass_between(belief, predictor.body, ways, tangents, tangents @ np.array([1.0, 0.0, 1.0]), none)
+    assert way.label == "attached_mass at (0.0504, 0.0104, 0.0104)"
+
+
+def test_a_centre_at_a_place_that_was_tried_is_no_new_one() -> None:
+    predictor, belief = scene()
+    ways = [mass_way(belief, np.array([0.05, y, 0.01])) for y in (0.004, 0.01, 0.016)]
+    tangents = tangents_of(predictor, belief, ways)
+    none = np.zeros((len(tangents), 0))
+    sides = tangents @ np.array([1.0, 0.0, 1.0])
+    assert mass_between(belief, predictor.body, ways, tangents, sides, none) is None
+
+
+def test_places_in_small_objects_are_told_apart() -> None:
+    predictor, belief = scene()
+    assert place_digits(predictor.body) == 3
+    small = replace(predictor.body.quadrature, spacing=1e-3 * np.ones(3))
+    assert place_digits(replace(predictor.body, quadrature=small)) == 4
+    assert mass_way(belief, np.array([0.0551, -0.004, 0.01]), 4).label == (
+        "attached_mass at (0.0551, -0.0040, 0.0100)"
+    )
 
 
 def test_without_places_there_is_nothing_between() -> None:

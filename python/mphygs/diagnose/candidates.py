@@ -65,11 +65,20 @@ def spread_places(body: Body, count: int) -> np.ndarray:
     return points[chosen]
 
 
-def mass_way(belief: Belief, place: np.ndarray) -> Way:
-    """A point mass at a place (3,) [m]."""
-    at = ", ".join(f"{x:.3f}" for x in place)
+def place_digits(body: Body) -> int:
+    """Digits after the point of a length [m], millimetres at least, that tell points of two cells apart."""
+    return max(3, int(np.ceil(-np.log10(0.29 * float(np.min(body.quadrature.spacing))))))
+
+
+def _said(place: np.ndarray, digits: int) -> str:
+    return ", ".join(f"{x:.{digits}f}" for x in place)
+
+
+def mass_way(belief: Belief, place: np.ndarray, digits: int = 3) -> Way:
+    """A point mass at a place (3,) [m]; digits: of the place in the label."""
     settings = {"place": np.asarray(place, float).tolist()}
-    return _way(belief, "attached_mass", f"attached_mass at ({at})", ["m"], settings=settings)
+    label = f"attached_mass at ({_said(place, digits)})"
+    return _way(belief, "attached_mass", label, ["m"], settings=settings)
 
 
 def principal_axis(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -92,6 +101,7 @@ def smooth_ways(
     wanted = set(effects() if names is None else names) - set(belief.effects)
     wanted -= set(impossible_effects(body.transfer))
     ways: list[Way] = []
+    digits = place_digits(body)
 
     def add(name: str, label: str, parameters: Sequence[str], **constants: dict) -> None:
         ways.append(_way(belief, name, label, parameters, **constants))
@@ -129,14 +139,13 @@ def smooth_ways(
                 flow = {f"w_{b}": 2.0 * sign * (k == j) for j, b in enumerate("xyz")}
                 add("wind", f"wind towards {'+' if sign > 0 else '-'}{a}", ["c_d"], values=flow)
     if "attached_mass" in wanted:
-        ways += [mass_way(belief, place) for place in spread_places(body, PLACES)]
+        ways += [mass_way(belief, place, digits) for place in spread_places(body, PLACES)]
         for settings in hung:
             add("attached_mass", hung_label(settings), ["m"], settings=settings)
     if "tether" in wanted:
         size = float(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0).max())
         for place in spread_places(body, TETHER_PLACES):
             # Springs to four anchors span all springs to any one anchor at this place.
-            at = ", ".join(f"{x:.3f}" for x in place)
             columns = []
             for step in (np.zeros(3), *np.eye(3)):
                 anchor = dict(
@@ -148,7 +157,7 @@ def smooth_ways(
             ways.append(
                 Way(
                     "tether",
-                    f"tether at ({at})",
+                    f"tether at ({_said(place, digits)})",
                     tuple(columns),
                     np.zeros(4, bool),
                     {"place": place.tolist(), "size": size},

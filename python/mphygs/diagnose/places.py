@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
-from mphygs.diagnose.candidates import Way, mass_way
+from mphygs.diagnose.candidates import Way, mass_way, place_digits
 from mphygs.model.belief import Belief
 from mphygs.simulate.body import Body
 
 # Of the largest mass: what is less is no second place.
 NEGLIGIBLE = 0.02
+# Of a cell: what is nearer to a place that was tried is that place.
+SAME_PLACE = 0.1
 
 
 def mass_between(
@@ -53,5 +55,9 @@ def mass_between(
     points = body.quadrature.points[: body.free_block_count].reshape(-1, 3)
     away = np.linalg.norm(points - centre, axis=1)
     # Two leaves have their centre in the air: then the material nearest to it.
-    inside = away.min() < 0.5 * float(np.max(body.quadrature.spacing))
-    return mass_way(belief, centre if inside else points[away.argmin()])
+    cell = float(np.max(body.quadrature.spacing))
+    place = centre if away.min() < 0.5 * cell else points[away.argmin()]
+    if np.linalg.norm(places - place, axis=1).min() < SAME_PLACE * cell:
+        return None
+    # One digit more than the labels of the places tried: it may round to one of them.
+    return mass_way(belief, place, place_digits(body) + 1)
