@@ -163,7 +163,8 @@ def table(results: dict[str, list[dict]]) -> list[str]:
                 f"| {1e3 * row['budget'].get('discretisation', 0.0):.3f} | {row['verdict']}"
                 f"{': ' + told if told else ''} | {row['worst']:.3f} |"
             )
-    lines += ["", "Misfits are over sigma: " + "; ".join(_order(results)) + ". *Falls over*: cannot carry its weight on that grid."]
+    fallen = "*falls over*: cannot carry its weight on that grid."
+    lines += ["", f"Misfits are over sigma: {'; '.join(_order(results))}; {fallen}"]
     return lines
 
 
