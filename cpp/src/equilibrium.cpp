@@ -230,18 +230,20 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
         const double largest = matrix_.diagonal().head(static_cast<Eigen::Index>(3 * model_->node_count())).cwiseAbs().maxCoeff();
         const double give = 1e-9 / largest;
         // Nodes that touch next to no material would move by any distance: springs keep them, as of a
-        // material of 1e-4 Pa, the same whatever the parameters are, so that no derivative sees them.
-        node_spring_ = 1e-4 * g.spacing[0];
+        // material of 1e-6 Pa, the same whatever the parameters are, so that no derivative sees them.
+        // The map leads back from the load: all stiffness is negative here, and so must theirs be, or a
+        // node as soft as its spring has none.
+        node_spring_ = 1e-6 * g.spacing[0];
         for (Eigen::Index i = 0; i < static_cast<Eigen::Index>(3 * model_->node_count()); ++i) {
-            matrix_.coeffRef(i, i) += node_spring_;
+            matrix_.coeffRef(i, i) -= node_spring_;
         }
         for (Eigen::Index i = static_cast<Eigen::Index>(3 * model_->node_count()); i < matrix_.rows(); ++i) {
-            matrix_.coeffRef(i, i) = -give;
+            matrix_.coeffRef(i, i) = give;
         }
     }
     const Eigen::Index first_row = static_cast<Eigen::Index>(3 * model_->node_count());
     for (Eigen::Index i = 0; i < first_row; ++i) {
-        residual[i] += node_spring_ * w[static_cast<std::size_t>(i)] - load_[static_cast<std::size_t>(i)];
+        residual[i] -= node_spring_ * w[static_cast<std::size_t>(i)] + load_[static_cast<std::size_t>(i)];
     }
     for (std::size_t r = 0; r < g.row_count(); ++r) {
         for (int k = g.row_begin[r]; k < g.row_begin[r + 1]; ++k) {

@@ -71,6 +71,38 @@ TEST(Equilibrium, UnloadedItIsTheShapeItself) {
     }
 }
 
+TEST(Equilibrium, SpringsOfNodesThatTouchNothingOnlyHold) {
+    // As soft as the springs themselves and softer still, the shape moves the less under a weight that is as much lighter.
+    Hanging h;
+    Equilibrium equilibrium(h.bar.model);
+    Fields<double> fields = h.bar.fields;
+    std::vector<double> load = h.load;
+    const auto yielding = [&] {
+        const Equilibrium::Solution s = equilibrium.solve(fields, h.bar.volume, load, {});
+        double sum = 0, weight = 0;
+        for (std::size_t i = 0; i < load.size(); ++i) {
+            sum -= load[i] * s.map[i];
+            weight += std::abs(load[i]);
+        }
+        return sum / weight;  // [m]
+    };
+    const double first = yielding();
+    double before = first;
+    EXPECT_GT(first, 0.0);
+    for (int n = 0; n < 40; ++n) {  // down to 1e-6 Pa
+        for (std::vector<double>* numbers : {&fields.mu, &fields.lambda, &load}) {
+            for (double& x : *numbers) {
+                x *= 0.55;
+            }
+        }
+        const double now = yielding();
+        EXPECT_LE(now, before * (1 + 1e-9)) << "softer by " << std::pow(0.55, n + 1);
+        EXPECT_GT(now, 0.0);
+        before = now;
+    }
+    EXPECT_LT(before, 0.9 * first);  // the last ones stand on the springs
+}
+
 TEST(Equilibrium, StartsFromAnEarlierSolution) {
     Hanging h;
     Equilibrium equilibrium(h.bar.model);
