@@ -2,7 +2,7 @@
 //
 // Vector<T, N> is the compiler's own vector where a register holds N numbers, and two vectors of half the lanes where
 // none does: g++ keeps a vector that is wider than a register in memory and goes through there with every operation,
-// which takes ten times as long. Both kinds take the same operators; what those lack is here as `choose`, `convert`,
+// which takes six times as long and more. Both kinds take the same operators; what those lack is here as `choose`, `convert`,
 // `shuffle`.
 #pragma once
 
