@@ -65,6 +65,9 @@ TYPED_TEST(VectorTest, OneLaneIsWrittenAndTheOthersStay) {
         for (int i = 0; i < VectorOf<V>::count; ++i) {
             EXPECT_EQ(std::as_const(v)[i], i == written ? T(-5) : T(1 + i));
         }
+        v[written] += T(8);
+        v[written] -= T(2);
+        EXPECT_EQ(std::as_const(v)[written], T(1));
     }
 }
 

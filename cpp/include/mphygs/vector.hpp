@@ -89,7 +89,6 @@ struct Halves {
         Lane& operator=(const Lane& x) { return *this = static_cast<element>(x); }
         Lane& operator+=(element x) { return *this = *this + x; }
         Lane& operator-=(element x) { return *this = *this - x; }
-        Lane& operator*=(element x) { return *this = *this * x; }
     };
     template <class I>
     element operator[](I i) const {
@@ -111,7 +110,6 @@ struct Halves {
     MPHYGS_BINARY(/)
     MPHYGS_BINARY(&)
     MPHYGS_BINARY(|)
-    MPHYGS_BINARY(^)
     MPHYGS_COMPARISON(<)
     MPHYGS_COMPARISON(<=)
     MPHYGS_COMPARISON(>)
