@@ -100,6 +100,28 @@ def test_what_a_rival_owes_to_the_grid_is_taken_from_the_best_step(monkeypatch: 
     assert whole.compared["a"].predicted == pytest.approx(there.predicted)
 
 
+def test_a_rivals_tangents_are_those_of_the_screening_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, before = near()
+    best = finer(experiment, before)
+    rival = replace(before, added=("gravity",))
+    problem = less_the_change(experiment, best)
+    own = carried_over(experiment, problem, rival, best)
+    asked: list[tuple[float, bool]] = []
+    predict = Predictor.predict
+
+    def counted(self: Predictor, *given: object, **named: object) -> Prediction:
+        asked.append((self.settings.spacing, bool(named.get("keys"))))
+        return predict(self, *given, **named)
+
+    monkeypatch.setattr(Predictor, "predict", counted)
+    monkeypatch.setattr(module, "screening_spacing", lambda _capture: 1.4 * COARSE)
+    led = carried_over(experiment, problem, rival, best)
+    assert {spacing for spacing, tangents in asked if tangents} == {1.4 * COARSE}
+    assert (COARSE, False) in asked
+    assert led.belief[FREE[0]].value == pytest.approx(own.belief[FREE[0]].value, rel=2e-3)
+    assert led.assessment.worst == pytest.approx(own.assessment.worst, abs=0.02)
+
+
 def test_the_best_that_was_tried_is_returned() -> None:
     experiment, before = near()
     fine, coarse = experiment.problem(FINE), experiment.problem(COARSE)

@@ -20,7 +20,7 @@ from extend_example import (
     step_of,
 )
 from mphygs.compare.assess import LARGEST_GRID_ERROR
-from mphygs.extend import grids
+from mphygs.extend import finer, grids
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
@@ -151,7 +151,7 @@ def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:
     assert grids.refined(experiment, [before, rival], None, screening=False).assessment.adequate
 
 
-@pytest.mark.parametrize("worst", [1.05, 1.2])
+@pytest.mark.parametrize("worst", [1.05, 1.2, 1.7])
 def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothing(
     monkeypatch: pytest.MonkeyPatch, worst: float
 ) -> None:
@@ -159,12 +159,12 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
     coarse = screening_spacing(experiment.capture)
     own, lent = (experiment.compare(truth, spacing) for spacing in (default(), coarse))
     monkeypatch.setattr(Experiment, "assess", lambda *_: SimpleNamespace(worst=worst))
-    found = grids._with_tangents(
+    found = finer.with_tangents(
         experiment, experiment.compare(truth, default(), jacobian=False), truth, default()
     )
     for name, item in found.items():
         assert np.array_equal(item.predicted, own[name].predicted, equal_nan=True)
-        wanted = lent if worst < 1.1 else own
+        wanted = own if worst == 1.2 else lent
         assert np.array_equal(item.jacobian, wanted[name].jacobian, equal_nan=True)
         assert not np.array_equal(own[name].jacobian, lent[name].jacobian, equal_nan=True)
 
@@ -173,7 +173,7 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
 
     monkeypatch.setattr(experiment.predictor("a", coarse), "predict", unstable)
     experiment.predictor("a", coarse).forget()
-    kept = grids._with_tangents(experiment, found, truth, default())
+    kept = finer.with_tangents(experiment, found, truth, default())
     assert np.array_equal(kept["a"].jacobian, own["a"].jacobian, equal_nan=True)
 
 

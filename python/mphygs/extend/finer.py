@@ -7,17 +7,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.compare.assess import Compared
+from mphygs.compare.assess import LARGEST_EXCUSED, PRACTICAL_FLOOR, Compared
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import borrowed, minimise, told
 from mphygs.fit.problem import Problem
+from mphygs.fit.schedule import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
 # A grid so many times as fine costs three times as much; its tangents are never asked for.
 FINER = 1.3
 ITERATIONS, ACCURACY = 4, 3e-4
+# A grid so many times as coarse is many times as cheap.
+LENDS = 1.3
+
+
+def lender_of(experiment: Experiment, spacing: float, share: float = 1.0) -> Problem | None:
+    """The fit to the first share of the frames on the screening grid, to lend its Jacobians to that on a
+    finer one; None for a grid that is as coarse."""
+    coarse = screening_spacing(experiment.capture)
+    if spacing > coarse / LENDS:
+        return None
+    for name in experiment.fitted:
+        experiment.predictor(name, coarse)
+    return experiment.window(coarse, share)
 
 
 def finer(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step | None:
@@ -85,20 +99,20 @@ def carried_over(
     """A rival on the finer grid of the best step, as far as that step's change from grid to grid tells.
 
     problem: see `less_the_change`. What two models that explain the same motion owe to a grid is much the
-    same, so that no run on the finer one is needed. The comparison is without tangents. None where the rival
-    cannot be simulated.
+    same, so that no run on the finer one is needed. Jacobians are the screening grid's where that is coarser
+    yet; the comparison is without tangents. None where the rival cannot be simulated.
     """
     lender, change = best.lender, _change(best)
     say = report or (lambda _text: None)
     say(f"{', '.join(rival.added)} on {1e3 * lender:.3g} mm, less what the grid changes")
+    coarse = lender_of(experiment, lender)
+    options = {"iterations": ITERATIONS, "relative_tolerance": ACCURACY}
+    options["report"] = told(report, f"{1e3 * lender:.3g} mm")
     try:
-        solution = minimise(
-            problem,
-            rival.belief,
-            iterations=ITERATIONS,
-            relative_tolerance=ACCURACY,
-            report=told(report, f"{1e3 * lender:.3g} mm"),
-        )
+        if coarse is None:
+            solution = minimise(problem, rival.belief, **options)
+        else:
+            solution = borrowed(problem, coarse, rival.belief, **options)
         compared = experiment.compare(solution.belief, lender, jacobian=False)
     except SimulationError as error:
         say(f"grid of {1e3 * lender:.3g} mm: {error}")
@@ -122,14 +136,34 @@ def compared_by(
     """A belief compared on one grid, with the tangents of a coarser one of spacing `lender` [m] and the
     discretisation's share that the change between the two shows."""
     here = experiment.compare(belief, spacing, jacobian=False)
-    there = experiment.compare(belief, lender)
+    there = experiment.compare(belief, lender, jacobian=False)
     # Richardson: the error of the finer grid is the change over r^2 - 1, r the ratio of the spacings.
     whole = (lender / spacing) ** 2 - 1.0
-    return {
-        name: replace(
-            item,
-            jacobian=there[name].jacobian,
-            refinement=(item.predicted - there[name].predicted) / whole,
-        )
+    compared = {
+        name: replace(item, refinement=(item.predicted - there[name].predicted) / whole)
         for name, item in here.items()
     }
+    return with_tangents(experiment, compared, belief, lender)
+
+
+def with_tangents(
+    experiment: Experiment, compared: dict[str, Compared], belief: Belief, spacing: float
+) -> dict[str, Compared]:
+    """A comparison with the tangents of its prediction on all frames, the dearest of all runs.
+
+    Those of the screening grid instead of `spacing` [m] where the misfit itself says that the model explains
+    the motion, or that no test of the floor will excuse it: they decide nothing then.
+    """
+
+    def lent_by(grid: float) -> dict[str, Compared]:
+        there = experiment.compare(belief, grid)
+        return {name: replace(item, jacobian=there[name].jacobian) for name, item in compared.items()}
+
+    coarse = screening_spacing(experiment.capture)
+    doubtful = PRACTICAL_FLOOR < experiment.assess(compared).worst <= LARGEST_EXCUSED
+    if spacing > coarse / LENDS or doubtful:
+        return lent_by(spacing)
+    try:
+        return lent_by(coarse)
+    except SimulationError:  # the coarse grid cannot carry it
+        return lent_by(spacing)

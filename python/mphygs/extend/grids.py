@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR, PRACTICAL_FLOOR, Compared
+from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import unabsorbed
-from mphygs.extend.finer import compared_by, finer
+from mphygs.extend.finer import LENDS, compared_by, finer, lender_of, with_tangents
 from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import EXPLAINED, Step, compared_again, excess, known_budget
@@ -32,8 +32,6 @@ LARGELY = 0.5
 SAME_MISFIT = 1.3
 # The frames before something sets in, over those in which it was first seen.
 BEFORE = 0.85
-# A grid so many times as coarse is many times as cheap.
-LENDS = 1.3
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
 # What is left is not the grid's where it is so many times what a coarser grid shows of that, and above so
@@ -84,17 +82,6 @@ def onward(share: float, kind: str) -> list[float]:
     return shares
 
 
-def lender_of(experiment: Experiment, spacing: float, share: float = 1.0) -> Problem | None:
-    """The fit to the first share of the frames on the screening grid, to lend its Jacobians to that on a
-    finer one; None for a grid that is as coarse."""
-    coarse = screening_spacing(experiment.capture)
-    if spacing > coarse / LENDS:
-        return None
-    for name in experiment.fitted:
-        experiment.predictor(name, coarse)
-    return experiment.window(coarse, share)
-
-
 def on_grid(
     experiment: Experiment,
     step: Step,
@@ -139,31 +126,13 @@ def on_grid(
             solution = _to_last_digits(problem, solution.belief)
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
         if tangents:
-            compared = _with_tangents(experiment, compared, solution.belief, spacing)
+            compared = with_tangents(experiment, compared, solution.belief, spacing)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     return step.refitted(solution, compared, assessment, spacing=spacing, lender=None, beside=None)
-
-
-def _with_tangents(
-    experiment: Experiment, compared: dict[str, Compared], belief: Belief, spacing: float
-) -> dict[str, Compared]:
-    """A comparison with the tangents of its prediction on all frames, the dearest of all runs.
-
-    Those of the screening grid where the misfit itself says that the model explains the motion: they decide
-    nothing then.
-    """
-    coarse = screening_spacing(experiment.capture)
-    if spacing > coarse / LENDS or experiment.assess(compared).worst > PRACTICAL_FLOOR:
-        return experiment.compare(belief, spacing)
-    try:
-        there = experiment.compare(belief, coarse)
-    except SimulationError:  # the coarse grid cannot carry it
-        return experiment.compare(belief, spacing)
-    return {name: replace(item, jacobian=there[name].jacobian) for name, item in compared.items()}
 
 
 def _to_last_digits(problem: Problem, belief: Belief) -> Solution:

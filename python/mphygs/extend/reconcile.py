@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.extend.grids import lender_of
+from mphygs.extend.finer import lender_of
 from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
