@@ -9,7 +9,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.compare.assess import BUDGET_FLOOR, Assessment
+from mphygs.compare.assess import BUDGET_FLOOR, Assessment, grid_shift
 from mphygs.fit.experiment import Experiment
 from mphygs.simulate.prediction import Settings
 
@@ -58,3 +58,18 @@ def test_shares_add_to_the_misfit_in_squares() -> None:
     found = assessed((2.0, 1.0), (2.0, 1.0))
     shares = [found.budget[name] / found.budget["noise"] for name in ("noise", "discretisation", "physics")]
     assert shares == pytest.approx([1.0, 1.0, np.sqrt(3.0)], rel=0.05)
+
+
+@pytest.mark.parametrize("slope", [1.0, 3.0])
+def test_how_far_the_grid_moves_a_number_is_what_its_own_tangents_say(slope: float) -> None:
+    """A refinement that moves every marker as 0.2 of a coordinate would, and a prior as sure as the data."""
+    capture = bar_capture(frames=FRAMES, fps=100.0, fit=(0, SPLIT))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=("part0.youngs_modulus",))
+    experiment = Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1))
+    name, item = next(iter(experiment.compare(truth, SPACING).items()))
+    item = replace(item, jacobian=slope * item.jacobian, fit=(0, SPLIT), predict=(SPLIT, FRAMES))
+    assert grid_shift({name: item}, np.zeros((1, 1))) is None
+    item = replace(item, refinement=0.2 * item.jacobian[..., 0])
+    assert grid_shift({name: item}, np.zeros((1, 1))) == pytest.approx([0.2])
+    rows = item.jacobian[:SPLIT][item.observation.observed[:SPLIT]] / item.observation.sigma
+    assert grid_shift({name: item}, np.array([[np.sum(rows**2)]])) == pytest.approx([0.1], rel=0.02)

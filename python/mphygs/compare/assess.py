@@ -251,17 +251,19 @@ def _grid_share(whitened: Whitened) -> np.ndarray:
     return share
 
 
-def grid_shift(compared: Mapping[str, Compared], covariance: np.ndarray) -> np.ndarray | None:
+def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarray | None:
     """(P,) how far the grid's error moves the fitted coordinates; None where no refinement is known.
 
-    covariance: (P, P) of the coordinates, priors included. The error of the fitted frames is taken for what
-    a refinement changes, extrapolated.
+    prior: (P, P) inverse covariance of the coordinates before anything was measured. The error of the fitted
+    frames is taken for what a refinement changes, extrapolated; what would fit it is found by the tangents of
+    the comparison alone, which may be of another grid than those of the fit.
     """
     whitened = whiten_all(compared)
-    if not np.any(whitened.refinement) or whitened.jacobian.shape[1] != len(covariance):
+    if not np.any(whitened.refinement) or whitened.jacobian.shape[1] != len(prior):
         return None
-    rows = whitened.seen
-    return covariance @ (whitened.jacobian[rows].T @ whitened.refinement[rows])
+    jacobian = whitened.jacobian[whitened.seen]
+    inverse = np.linalg.pinv(jacobian.T @ jacobian + prior, rcond=1e-14, hermitian=True)
+    return inverse @ (jacobian.T @ whitened.refinement[whitened.seen])
 
 
 def _budget(whitened: Whitened, share: np.ndarray, sigma: float) -> dict[str, float]:

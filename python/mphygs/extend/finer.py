@@ -99,20 +99,22 @@ def carried_over(
     """A rival on the finer grid of the best step, as far as that step's change from grid to grid tells.
 
     problem: see `less_the_change`. What two models that explain the same motion owe to a grid is much the
-    same, so that no run on the finer one is needed. Jacobians are the screening grid's where that is coarser
-    yet; the comparison is without tangents. None where the rival cannot be simulated.
+    same, so that no run on the finer one is needed. Jacobians of the screening grid lead as far as they
+    serve, where that is coarser yet; the comparison is without tangents. None where the rival cannot be
+    simulated.
     """
     lender, change = best.lender, _change(best)
     say = report or (lambda _text: None)
     say(f"{', '.join(rival.added)} on {1e3 * lender:.3g} mm, less what the grid changes")
-    coarse = lender_of(experiment, lender)
-    options = {"iterations": ITERATIONS, "relative_tolerance": ACCURACY}
-    options["report"] = told(report, f"{1e3 * lender:.3g} mm")
     try:
-        if coarse is None:
-            solution = minimise(problem, rival.belief, **options)
-        else:
-            solution = borrowed(problem, coarse, rival.belief, **options)
+        solution = minimise(
+            problem,
+            rival.belief,
+            iterations=ITERATIONS,
+            relative_tolerance=ACCURACY,
+            lender=lender_of(experiment, lender),
+            report=told(report, f"{1e3 * lender:.3g} mm"),
+        )
         compared = experiment.compare(solution.belief, lender, jacobian=False)
     except SimulationError as error:
         say(f"grid of {1e3 * lender:.3g} mm: {error}")

@@ -103,10 +103,12 @@ def uncertainty(step: Step) -> np.ndarray:
     What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
     noise, and even that says too little, for it goes on from frame to frame.
     """
-    noise = covariance(step.solution.evaluation)
+    evaluation = step.solution.evaluation
+    noise = covariance(evaluation)
     if not step.explained:
-        noise = noise * max(step.solution.evaluation.misfit, 1.0) ** 2
-    shift = grid_shift(step.compared, noise)
+        noise = noise * max(evaluation.misfit, 1.0) ** 2
+    rows = evaluation.jacobian[evaluation.data_rows :]
+    shift = grid_shift(step.compared, rows.T @ rows)
     return noise if shift is None else noise + np.outer(shift, shift)
 
 
