@@ -6,15 +6,17 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
+from mphygs.extend import finer
 from mphygs.extend.reconcile import on_all_frames, reconciled
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.model.belief import Belief
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.prediction import Prediction, Predictor, Settings
 
 FREE = ("part0.youngs_modulus",)
 SPACING = 0.01
@@ -57,6 +59,25 @@ def test_what_the_fitted_frames_leave_open_is_not_missing() -> None:
     # The numbers stay those of the fitted frames.
     assert after.belief is step.belief and after.assessment is step.assessment
     assert "leave open" in said[-1]
+
+
+@pytest.mark.parametrize("damping", [0.0, 2.0])
+def test_the_screening_grid_is_asked_first(monkeypatch: pytest.MonkeyPatch, damping: float) -> None:
+    """Where its tangents lead to an explanation, no others are taken; where they do not, those decide."""
+    experiment, step = off(damping)
+    asked: set[float] = set()
+    predict = Predictor.predict
+
+    def counted(self: Predictor, *given: object, **named: object) -> Prediction:
+        if named.get("keys"):
+            asked.add(self.settings.spacing)
+        return predict(self, *given, **named)
+
+    monkeypatch.setattr(Predictor, "predict", counted)
+    monkeypatch.setattr(finer, "screening_spacing", lambda _capture: 1.4 * SPACING)
+    after = reconciled(experiment, step, None)
+    assert after.reconciled == (damping == 0.0)
+    assert asked == ({1.4 * SPACING} if damping == 0.0 else {SPACING, 1.4 * SPACING})
 
 
 def test_what_is_missing_stays_missing() -> None:

@@ -9,15 +9,17 @@ see all frames would hide a weak one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.extend.finer import lender_of
-from mphygs.extend.setting_in import fit_what_sets_in
+from mphygs.extend.finer import lender_of, with_tangents
+from mphygs.extend.setting_in import placed
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import told
+from mphygs.fit.levenberg_marquardt import approached, minimise, told
+from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
@@ -46,22 +48,34 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
         return step
     say = report or (lambda _text: None)
     whole = on_all_frames(experiment)
-    belief = step.belief
+    belief, tell = step.belief, told(report, "all frames")
     say("fitting to all frames")
     try:
         for name in whole.fitted:
             belief = experiment.with_release(belief, name, step.spacing)
             whole.predictor(name, step.spacing)
         lender = lender_of(whole, step.spacing)
-        problem = whole.problem(step.spacing)
-        solution = fit_what_sets_in(
-            problem, belief, iterations=ITERATIONS, lender=lender, report=told(report, "all frames")
-        )
-        compared = whole.compare(solution.belief, step.spacing, refine=True)
+        problem, worst, enough = whole.problem(step.spacing), math.inf, False
+        if lender is not None:
+            # The coarse grid's Jacobians, at a fraction of the work, may be enough to say so.
+            belief = placed(problem, belief, lender=lender, report=tell)
+            belief = approached(problem, lender, belief, iterations=ITERATIONS, report=tell)
+            worst, enough = _judged(whole, belief, step.spacing)
+        if not enough:
+            if lender is None:
+                belief = placed(problem, belief, report=tell)
+            solution = minimise(problem, belief, iterations=ITERATIONS, relative_tolerance=1e-3, report=tell)
+            worst, enough = _judged(whole, solution.belief, step.spacing)
     except SimulationError:
         return step
-    assessment = whole.assess(compared)
-    enough = assessment.adequate or assessment.worst <= EXPLAINED
     meaning = "what was missed is what the fitted frames leave open" if enough else "something is missing"
-    say(f"fitted to all frames: {assessment.worst:.3f} sigma, {meaning}")
+    say(f"fitted to all frames: {worst:.3f} sigma, {meaning}")
     return replace(step, reconciled=enough)
+
+
+def _judged(whole: Experiment, belief: Belief, spacing: float) -> tuple[float, bool]:
+    """The largest misfit of any range [sigma], and whether it is explained. Raises SimulationError."""
+    compared = whole.compare(belief, spacing, jacobian=False)
+    compared = whole.with_refinement(compared, belief, spacing)
+    assessment = whole.assess(with_tangents(whole, compared, belief, spacing))
+    return assessment.worst, assessment.adequate or assessment.worst <= EXPLAINED
