@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,9 @@ USUAL_SIZES = 10.0
 SMALL = 0.05
 # Components below this share of a direction's largest are not named.
 SMALLEST_COMPONENT = 0.2
+# Parameters that are a direction together, and how surely its length is known to be one.
+AXES = ("n_x", "n_y", "n_z")
+CERTAIN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,35 @@ def determinations(
             note = _bound_note(parameter)
         found[parameter.key] = Determination(spread * parameter.slope, not undetermined, note)
     return found
+
+
+def of_unit_length(
+    free: Sequence[Parameter], information: np.ndarray, covariance: np.ndarray
+) -> tuple[list[Parameter], np.ndarray, np.ndarray]:
+    """The same with directions, fitted as vectors of any length, as unit vectors whose length is known.
+
+    information, covariance: as for `determinations`.
+    """
+    free, information, covariance = list(free), information.copy(), covariance.copy()
+    place = {p.key: k for k, p in enumerate(free)}
+    for key in [key for key in place if key.endswith(f".{AXES[0]}")]:
+        owner = key.rsplit(".", 1)[0]
+        at = [place.get(f"{owner}.{axis}", -1) for axis in AXES]
+        if -1 in at:
+            continue
+        vector = np.array([free[k].value for k in at])
+        length = float(np.linalg.norm(vector))
+        unit, scale = vector / length, np.array([free[k].scale for k in at])
+        across = np.eye(len(free))
+        across[np.ix_(at, at)] = (np.eye(3) - np.outer(unit, unit)) * scale / scale[:, None] / length
+        covariance = across @ covariance @ across.T
+        information[at] *= length
+        information[:, at] *= length
+        along = unit * scale / CERTAIN
+        information[np.ix_(at, at)] += np.outer(along, along)
+        for k, value in zip(at, unit, strict=True):
+            free[k] = replace(free[k], value=float(value))
+    return free, information, covariance
 
 
 def _bound_note(parameter: Parameter) -> str:

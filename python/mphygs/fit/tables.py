@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mphygs.fit.determined import determinations
+from mphygs.fit.determined import determinations, of_unit_length
 from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
@@ -32,11 +32,14 @@ def parameters_document(
 ) -> dict[str, dict[str, object]]:
     """Key -> value, std, unit, whether the data determine it, and a note where there is something to say.
 
+    Directions are told as unit vectors, and how sure they are across.
+
     information: (P, P) of the measurements, covariance: (P, P), of the free coordinates.
     """
-    known = determinations(belief.free, information, covariance)
+    free, information, covariance = of_unit_length(belief.free, information, covariance)
+    known = determinations(free, information, covariance)
     out = {}
-    for parameter in belief.free:
+    for parameter in free:
         found = known[parameter.key]
         entry = {
             "value": parameter.value,
