@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -85,6 +86,19 @@ def test_at_the_minimum_nothing_is_simulated_again(monkeypatch: pytest.MonkeyPat
     found = readmitted(experiment, step_at(experiment, belief, SPACING, added=("viscosity",)))
     costs = [whole.problem(SPACING).evaluate(b, jacobian=False).cost for b in (belief, found.belief)]
     assert found.dropped == (FAULT,) and costs[1] < costs[0] - 0.05
+
+
+def test_tangents_of_another_grid_do_not_become_those_of_the_fit() -> None:
+    experiment, step = masked(effect=True)
+    lent = {
+        name: replace(item, jacobian=0.5 * item.jacobian, tangents_of=2.0 * SPACING)
+        for name, item in step.compared.items()
+    }
+    own = experiment.problem(SPACING).evaluate(step.belief)
+    assert np.abs(own.jacobian).max() > 0.0
+    found = readmit._as_it_is(experiment, replace(step, compared=lent))
+    assert found.solution.evaluation.jacobian == pytest.approx(own.jacobian)
+    assert found.compared["a"].jacobian is lent["a"].jacobian
 
 
 def test_a_track_that_is_off_stays_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,7 +31,8 @@ class Compared:
 
     predicted: (T, M, 3) [m]; jacobian: (T, M, 3, P) by the free coordinates; part: (M,) of every marker;
     refinement: (T, M, 3) change of the prediction under refinement, extrapolated, or None;
-    fit, predict: frame ranges.
+    fit, predict: frame ranges; tangents_of: spacing of the grid that the Jacobian is of [m], None for the
+    prediction's.
     """
 
     observation: Observation
@@ -41,6 +42,7 @@ class Compared:
     fit: tuple[int, int]
     predict: tuple[int, int]
     refinement: np.ndarray | None = None
+    tangents_of: float | None = None
 
     @property
     def frames(self) -> tuple[int, int]:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.compare.assess import LARGEST_EXCUSED, PRACTICAL_FLOOR, Compared
-from mphygs.extend.step import Step
+from mphygs.extend.step import Step, known_budget
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import borrowed, minimise, told
-from mphygs.fit.problem import Problem
+from mphygs.fit.levenberg_marquardt import borrowed, minimise, told, with_jacobian_of
+from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.schedule import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -70,6 +70,18 @@ def lent(
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     return step.refitted(solution, compared, assessment, spacing=spacing, lender=lender, beside=None)
+
+
+def evaluated(experiment: Experiment, belief: Belief, spacing: float, lender: float | None) -> Evaluation:
+    """The fitted frames at a belief, with the Jacobian that a step there has. lender: see `Step`.
+
+    Raises SimulationError.
+    """
+    if lender is None:
+        return experiment.problem(spacing).evaluate(belief)
+    for name in experiment.fitted:
+        experiment.predictor(name, lender)
+    return with_jacobian_of(experiment.problem(lender), experiment.problem(spacing), belief)
 
 
 def _change(best: Step) -> dict[str, np.ndarray]:
@@ -148,6 +160,31 @@ def compared_by(
     return with_tangents(experiment, compared, belief, lender)
 
 
+def compared_at(
+    experiment: Experiment,
+    belief: Belief,
+    spacing: float,
+    *,
+    refined: bool = False,
+    beside: float | None = None,
+) -> dict[str, Compared]:
+    """A belief compared on a grid, with tangents (see `with_tangents`).
+
+    refined: whether the discretisation's share is asked for, beside: on which grid, as `Step` says. Raises
+    SimulationError.
+    """
+    compared = experiment.compare(belief, spacing, jacobian=False, refine=refined, beside=beside)
+    return with_tangents(experiment, compared, belief, spacing)
+
+
+def compared_again(experiment: Experiment, step: Step, belief: Belief) -> dict[str, Compared]:
+    """A belief compared as a step's was, the discretisation's share included where the step knows it.
+
+    Raises SimulationError.
+    """
+    return compared_at(experiment, belief, step.spacing, refined=known_budget(step), beside=step.beside)
+
+
 def with_tangents(
     experiment: Experiment, compared: dict[str, Compared], belief: Belief, spacing: float
 ) -> dict[str, Compared]:
@@ -159,7 +196,10 @@ def with_tangents(
 
     def lent_by(grid: float) -> dict[str, Compared]:
         there = experiment.compare(belief, grid)
-        return {name: replace(item, jacobian=there[name].jacobian) for name, item in compared.items()}
+        return {
+            name: replace(item, jacobian=there[name].jacobian, tangents_of=grid)
+            for name, item in compared.items()
+        }
 
     coarse = screening_spacing(experiment.capture)
     doubtful = PRACTICAL_FLOOR < experiment.assess(compared).worst <= LARGEST_EXCUSED

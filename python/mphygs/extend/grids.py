@@ -9,10 +9,17 @@ from dataclasses import replace
 from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import unabsorbed
-from mphygs.extend.finer import LENDS, compared_by, finer, lender_of, with_tangents
+from mphygs.extend.finer import (
+    LENDS,
+    compared_again,
+    compared_by,
+    finer,
+    lender_of,
+    with_tangents,
+)
 from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
-from mphygs.extend.step import EXPLAINED, Step, compared_again, excess, known_budget
+from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told

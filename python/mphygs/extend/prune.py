@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mphygs.extend.finer import lender_of
+from mphygs.extend.finer import compared_again, lender_of
 from mphygs.extend.grids import complete
-from mphygs.extend.step import NEGLIGIBLE, Step, compared_again, does_alike
+from mphygs.extend.step import NEGLIGIBLE, Step, does_alike
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import approached, minimise, told

@@ -13,11 +13,10 @@ import numpy as np
 
 from mphygs.compare.noise import observe
 from mphygs.diagnose.outliers import bad_observations
-from mphygs.extend.finer import ACCURACY, lent
-from mphygs.extend.step import Step, compared_again
+from mphygs.extend.finer import ACCURACY, compared_again, evaluated, lent
+from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, still_at_minimum
-from mphygs.fit.problem import Problem
 from mphygs.simulate.errors import SimulationError
 
 FAULT = "marker_outliers"
@@ -64,15 +63,15 @@ def readmitted(experiment: Experiment, step: Step, report: Callable[[str], None]
 def _refitted(experiment: Experiment, step: Step, report: Callable[[str], None] | None) -> Step | None:
     """The step fitted once more, None where that cannot be simulated."""
     problem = experiment.problem(step.spacing)
-    here = _as_it_is(experiment, step, problem)
     accuracy = REFITTED if step.lender is None else ACCURACY
-    if here is not None and still_at_minimum(
-        step.belief, step.solution.evaluation, here.solution.evaluation, relative_tolerance=accuracy
-    ):
-        return here
-    if step.lender is not None:
-        return lent(experiment, step, step.spacing, step.lender, report)
     try:
+        here = _as_it_is(experiment, step)
+        if still_at_minimum(
+            step.belief, step.solution.evaluation, here.solution.evaluation, relative_tolerance=accuracy
+        ):
+            return here
+        if step.lender is not None:
+            return lent(experiment, step, step.spacing, step.lender, report)
         solution = minimise(problem, step.belief, iterations=ITERATIONS, relative_tolerance=REFITTED)
         compared = compared_again(experiment, step, solution.belief)
     except SimulationError:
@@ -80,18 +79,20 @@ def _refitted(experiment: Experiment, step: Step, report: Callable[[str], None] 
     return step.refitted(solution, compared, experiment.assess(compared))
 
 
-def _as_it_is(experiment: Experiment, step: Step, problem: Problem) -> Step | None:
-    """The step beside the experiment's present measurements, its prediction and numbers as they are; None
-    where the tangents of its prediction are not known."""
+def _as_it_is(experiment: Experiment, step: Step) -> Step:
+    """The step beside the experiment's present measurements, its prediction and numbers as they are."""
     compared = {
         name: replace(item, observation=experiment.observations[name]) for name, item in step.compared.items()
     }
-    if any(item.jacobian.shape[-1] != len(step.belief.free) for item in compared.values()):
-        return None
-    evaluation = problem.evaluated(
-        step.belief,
-        {name: item.predicted for name, item in compared.items()},
-        {name: item.jacobian for name, item in compared.items()},
-    )
+    own = step.lender or step.spacing
+    width = len(step.belief.free)
+    if all(i.tangents_of in (None, own) and i.jacobian.shape[-1] == width for i in compared.values()):
+        evaluation = experiment.problem(step.spacing).evaluated(
+            step.belief,
+            {name: item.predicted for name, item in compared.items()},
+            {name: item.jacobian for name, item in compared.items()},
+        )
+    else:
+        evaluation = evaluated(experiment, step.belief, step.spacing, step.lender)
     solution = replace(step.solution, evaluation=evaluation)
     return step.refitted(solution, compared, experiment.assess(compared))

@@ -8,7 +8,6 @@ import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.extend.refit import Refit
-from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.model.belief import Belief
 
@@ -66,14 +65,6 @@ class Step:
 def known_budget(step: Step) -> bool:
     """Whether a refinement of the step's model has been run."""
     return any(item.refinement is not None for item in step.compared.values())
-
-
-def compared_again(experiment: Experiment, step: Step, belief: Belief) -> dict[str, Compared]:
-    """A belief compared as a step's was, the discretisation's share included where the step knows it.
-
-    Raises SimulationError.
-    """
-    return experiment.compare(belief, step.spacing, refine=known_budget(step), beside=step.beside)
 
 
 def excess(assessment: Assessment, label: str | None = None) -> float:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.compare.assess import grid_shift
-from mphygs.extend.finer import compared_by
+from mphygs.extend.finer import compared_at, compared_by, evaluated
 from mphygs.extend.step import Step, known_budget
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, covariance, with_jacobian_of
+from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import errors_of
 from mphygs.fit.run import Run
 from mphygs.fit.tables import parameters_document
@@ -34,13 +34,10 @@ def step_at(
 ) -> Step:
     """The step that ended at a belief. lender, beside: see `Step`; refined: whether the discretisation's
     share was asked for (where Jacobians are lent it always is)."""
+    evaluation = evaluated(experiment, belief, spacing, lender)
     if lender is None:
-        evaluation = experiment.problem(spacing).evaluate(belief)
-        compared = experiment.compare(belief, spacing, refine=refined, beside=beside)
+        compared = compared_at(experiment, belief, spacing, refined=refined, beside=beside)
     else:
-        for name in experiment.fitted:
-            experiment.predictor(name, lender)
-        evaluation = with_jacobian_of(experiment.problem(lender), experiment.problem(spacing), belief)
         compared = compared_by(experiment, belief, spacing, lender)
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
     assessment = experiment.assess(compared)

@@ -1,0 +1,95 @@
+"""What it costs to score every smooth effect at once: tangents of all candidates beside one forward run.
+
+    python benchmarks/diagnose/run.py [CAPTURE ...] [--rounds 5]
+
+Fits elasticity alone to each capture, on the grid that diagnoses are made on. Without one, a bar with
+a hidden viscosity is made. The two runs take turns, so that what else the machine does is felt by both.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from mphygs.capture.format import load_capture
+from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
+from mphygs.extend.discover import first_fit
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.placement import masses_of_loads
+from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.start import starting_belief
+from mphygs.simulate.settings import Settings
+from mphygs.synth.__main__ import main as synth
+
+# As many frequencies of a shaking frame as a diagnosis asks for.
+SHAKES = 4
+
+
+@dataclass(frozen=True)
+class Options:
+    """Time the tangents of all smooth candidates beside one forward run."""
+
+    captures: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Folders of captures; default: a bar with a hidden viscosity."""
+    rounds: int = 5
+    """Of which the medians are told."""
+    out: Path = Path("runs/diagnose")
+    """Folder for the bar."""
+    workers: int = os.cpu_count() or 1
+    """Simulations side by side."""
+
+
+def own_capture(out: Path) -> Path:
+    """The bar, made unless it is there."""
+    folder = out / "bar"
+    if not (folder / "answer.json").is_file() and synth(
+        ["two-part-bar", "--hidden", "viscosity", "--out", str(folder)]
+    ):
+        raise SystemExit(f"{folder}: could not be made")
+    return folder
+
+
+def measured(folder: Path, options: Options) -> str:
+    """One row of the table."""
+    capture = load_capture(folder)
+    spacing = screening_spacing(capture)
+    experiment = Experiment.of(capture, Settings(spacing=spacing, workers=options.workers))
+    belief = first_fit(experiment, experiment.starting(starting_belief(capture)), spacing).belief
+    name, (_first, last) = next(iter(experiment.fitted.items()))
+    predictor = experiment.predictor(name, spacing)
+    ways = smooth_ways(belief, predictor.body, hung=masses_of_loads(capture, [name]))
+    ways += base_motion_ways(belief, [float(f) for f in range(1, SHAKES + 1)])
+    columns = [pair for way in ways for pair in way.columns]
+    seconds: dict[str, list[float]] = {"forward": [], "tangents": []}
+    for _ in range(options.rounds):
+        for what, asked in (("forward", {}), ("tangents", {"candidates": columns})):
+            predictor.forget()
+            began = time.perf_counter()
+            predictor.predict(belief, last=last, **asked)
+            seconds[what].append(time.perf_counter() - began)
+    forward, tangents = (float(np.median(values)) for values in seconds.values())
+    effects = len({way.effect for way in ways})
+    return (
+        f"| {folder.name} | {1e3 * spacing:.1f} | {effects} | {len(columns)} | {forward:.2f} "
+        f"| {tangents:.2f} | {tangents / forward:.1f} | {tangents / forward / len(columns):.2f} |"
+    )
+
+
+def main() -> int:
+    """Print the table."""
+    options = tyro.cli(Options, config=(tyro.conf.FlagCreatePairsOff,))
+    heads = ("capture", "grid [mm]", "effects", "parameters", "forward [s]", "tangents [s]", "ratio", "each")
+    print(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
+    for folder in options.captures or (own_capture(options.out),):
+        print(measured(folder, options), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
