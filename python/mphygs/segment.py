@@ -12,9 +12,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from mphygs.capture.features import ColourFeatures, FeatureExtractor, JoinedFeatures
-from mphygs.capture.features_dino import DinoFeatures
-from mphygs.capture.features_xfeat import XFeatFeatures
+from mphygs.capture.extractors import Extractor, extractor_of, feature_names
 from mphygs.capture.format import Capture, Part, load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.mask_groups import MaskGrouper, Superpixels
@@ -48,8 +46,6 @@ PICTURE = "picture.png"
 # Of the work after reconstruction that is done once features are there.
 _FEATURES_SHARE = 0.6
 _SIZE_ROUND = 256  # [px] of pictures of an object that is given without any
-_COLOUR_WEIGHT, _NETWORK_WEIGHT = 1.0, 0.5
-Extractor = FeatureExtractor | JoinedFeatures
 Tools = tuple[Extractor, MaskGrouper]
 
 
@@ -159,6 +155,7 @@ def features_stage(
             photographs,
             extractor,
             grouper,
+            made_by=options.features,
             seed=options.seed,
             report=_report(console, 0.0, _FEATURES_SHARE),
         )
@@ -209,41 +206,10 @@ def object_stage(
     return stage, particles, parts
 
 
-def extractor_of(text: str) -> Extractor:
-    """The extractor that `--features` names. Raises OptionError for names that there are not."""
-    found: list[FeatureExtractor] = []
-    for kind, folder in _feature_names(text):
-        if kind == "colour":
-            found.append(ColourFeatures())
-        elif kind == "xfeat":
-            found.append(XFeatFeatures())
-        else:
-            found.append(DinoFeatures.of(folder))
-    if len(found) == 1:
-        return found[0]
-    weights = tuple(_COLOUR_WEIGHT if isinstance(e, ColourFeatures) else _NETWORK_WEIGHT for e in found)
-    return JoinedFeatures(tuple(found), weights)
-
-
 def grouper_of(text: str) -> MaskGrouper:
     """The grouper that `--masks` names. Raises OptionError for names that there are not."""
     folder = _mask_folder(text)
     return Superpixels() if folder is None else SamGroups.of(folder)
-
-
-def _feature_names(text: str) -> list[tuple[str, Path]]:
-    """Kind and folder of every extractor that `--features` names; only those of dino have a folder."""
-    found = []
-    for name in text.split("+"):
-        kind, _, folder = name.strip().partition(":")
-        if kind not in ("colour", "xfeat", "dino") or (kind == "dino") != bool(folder):
-            raise OptionError(
-                f"--features: got '{text}'; expected colour, xfeat, dino:FOLDER, or several with +"
-            )
-        found.append((kind, Path(folder)))
-    if len(set(found)) < len(found):
-        raise OptionError(f"--features: got '{text}'; expected each only once")
-    return found
 
 
 def _mask_folder(text: str) -> Path | None:
@@ -259,7 +225,10 @@ def _mask_folder(text: str) -> Path | None:
 def _tools(options: SegmentOptions) -> Tools | None:
     """What features are made with, so that what is not installed is said before any work is done; None
     where features are there already, which may need none of it. Names are checked in any case."""
-    _feature_names(options.features)
+    try:
+        feature_names(options.features)
+    except ValueError as error:
+        raise OptionError(f"--features: {error}") from error
     _mask_folder(options.masks)
     if Stage.of(options.out, "features", (FEATURES,), {}).complete():
         return None

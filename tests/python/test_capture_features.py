@@ -86,6 +86,13 @@ def test_joined_maps_are_weighted_and_of_one_resolution(photographs: list[Photog
     objects = np.concatenate(
         [m[map_weight(p, m.shape[:2]) > 0.9] for m, p in zip(maps.maps, photographs, strict=True)]
     )
+    # a picture told later is reduced in the same way
+    again = maps.reduction.map_of(photographs[1], joined)
+    assert np.array_equal(again, maps.maps[1])
+    with pytest.raises(ValueError, match="1 extractors; expected 2"):
+        maps.reduction.map_of(photographs[1], ColourFeatures())
+    with pytest.raises(ValueError, match="xfeat: 64 channels; expected 3"):
+        maps.reduction.map_of(photographs[1], JoinedFeatures((XFeatFeatures(), ColourFeatures()), (1.0, 0.5)))
     # mean squared distance of two places: twice the variance
     colour, network = (2 * objects[:, part].var(axis=0).sum() for part in (slice(0, 3), slice(3, 9)))
     assert colour == pytest.approx(1.0, rel=0.25) and network == pytest.approx(0.25, rel=0.25)

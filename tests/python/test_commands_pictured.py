@@ -8,17 +8,26 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from command_example import answer, call
 from mphygs import predict
+from mphygs.capture.features import ColourFeatures
+from mphygs.capture.format import load_capture
+from mphygs.capture.mask_groups import Superpixels
+from mphygs.capture.views import rest_views_of
 from mphygs.compare import __main__ as compare
 from mphygs.fit import __main__ as fit
 from mphygs.fit import image_fit, paper
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.of_run import experiment_of, pictured_of
+from mphygs.fit.pictured import Pictured
 from mphygs.fit.run import load_run
-from mphygs.render.video_loss import VideoWeights
+from mphygs.render.gaussian_features import gaussian_features
+from mphygs.render.video_loss import VideoWeights, video_loss
 from mphygs.report import __main__ as report
+from mphygs.scene.object_files import write_features
+from mphygs.scene.ply import read_gaussians
 from pictured_example import SHOOT, pictured_flower, stages_of_truth
 
 SPACING = 0.009
@@ -67,6 +76,37 @@ def test_pictures_tell_a_wrong_motion_from_the_right_one(fitted: dict) -> None:
     wrong = pictured.errors(soft, names=["frog"])["frog"]["all"]
     assert wrong["iou"] < right["iou"] - 0.02 and wrong["chamfer_px"] > 1.5 * right["chamfer_px"]
     assert wrong["psnr"] < right["psnr"]
+
+
+def test_looks_in_the_videos_are_held_against_those_at_rest(
+    fitted: dict, capture: Path, tmp_path: Path
+) -> None:
+    run = load_run(fitted["run"])
+    experiment, belief = experiment_of(run, workers=1)
+    without = pictured_of(run, experiment)
+    assert without.looks is None  # stages without features
+    stages = tmp_path / "stages"
+    shutil.copytree(run.stages, stages)
+    gaussians = read_gaussians(stages / "rest" / "gaussians.ply")
+    views = rest_views_of(load_capture(capture)).read()
+    (stages / "features").mkdir()
+    found = gaussian_features(gaussians, views, ColourFeatures(), Superpixels(), made_by="colour")
+    write_features(stages / "features" / "features.npz", found)
+    pictured = Pictured.of(experiment, without.source, stages)
+    span = experiment.fitted["frog"]
+    watched = image_fit.watch(pictured, "frog", span, looks=True)
+    frame = watched.fitted[-1]
+    assert {seen.features.shape[2] for seen in watched.pictures[frame]} == {3}
+    plain = image_fit.watch(pictured, "frog", span, looks=False).pictures[frame]
+    assert {seen.features for seen in plain} == {None}
+    soft = belief.with_parameter("segment-00.youngs_modulus", value=1e5)
+    placement, losses = pictured.placement("frog"), []
+    for one in (belief, soft):
+        moved = pictured.moved("frog", one, last=frame + 1).position[frame]
+        drawn = pictured.drawn.at(torch.from_numpy(placement.to_world(moved)))
+        losses.append(float(video_loss(drawn, watched.pictures[frame]).features))
+    assert 0.0 < losses[0] < 0.9 * losses[1]
+    assert pictured.coloured(torch.from_numpy(placement.to_world(moved))).features.shape[1] == 0
 
 
 def test_predict_writes_a_video_beside_the_prediction(fitted: dict, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial import cKDTree
 from sklearn.metrics import adjusted_rand_score
 
 from mphygs.capture.errors import CaptureError
+from mphygs.capture.features import Principal, Reduction
 from mphygs.scene.affinity import affinity_features, neighbour_groups
 from mphygs.scene.lattice import Lattice
 from mphygs.scene.object_files import (
@@ -120,8 +122,22 @@ def test_files_of_the_object_come_back_or_say_what_is_wrong(tmp_path: Path) -> N
     write_features(path, features)
     again = read_features(path, 5)
     assert again.appearance == pytest.approx(features.appearance, abs=1e-6) and again.source == "colour"
+    assert again.reduction is None and again.made_by == ""
     with pytest.raises(CaptureError, match=r"appearance: is float32 of shape \(5, 3\); expected numbers"):
         read_features(path, 6)
+    first, second = (
+        Principal(draw.standard_normal(4 + k), draw.standard_normal((4 + k, 1 + k)), 2.0 + k) for k in (0, 1)
+    )
+    known = replace(features, made_by="xfeat+colour", reduction=Reduction(((first, 0.5), (second, 1.0))))
+    write_features(path, known)
+    again = read_features(path, 5)
+    assert again.made_by == "xfeat+colour"
+    for (one, weight), (other, same) in zip(known.reduction.parts, again.reduction.parts, strict=True):
+        assert weight == same and one.scale == other.scale
+        assert np.array_equal(one.mean, other.mean) and np.array_equal(one.axes, other.axes)
+    write_features(path, replace(known, reduction=Reduction(((first, 0.5),))))
+    with pytest.raises(CaptureError, match="axes: give 1 channels; expected 3"):
+        read_features(path, 5)
     particles = Particles(
         draw.uniform(size=(4, 3)), np.zeros(4), 2e-3, np.array([0, 1, 1, 0]), np.zeros((4, 2))
     )

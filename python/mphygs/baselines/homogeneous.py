@@ -43,7 +43,7 @@ def fit_homogeneous(run: Run, experiment: Experiment, report: Callable[[str], No
     if pictured is None or len(run.belief.parts) != 1:
         raise ValueError(f"{run.folder}: expected a capture in pictures, its parts as one")
     began = time.monotonic()
-    watched = {name: watch(pictured, name, span) for name, span in experiment.fitted.items()}
+    watched = {name: watch(pictured, name, span, looks=False) for name, span in experiment.fitted.items()}
     key = f"{run.belief.parts[0]}.youngs_modulus"
     base = _of_known_mass(run.belief, experiment)
     costs: list[float] = []
@@ -112,7 +112,7 @@ def silhouette_loss(pictured: Pictured, watched: Mapping[str, Watched], belief: 
         placement = pictured.placement(name)
         for frame in one.fitted:
             with torch.no_grad():
-                gaussians = pictured.drawn.at(
+                gaussians = pictured.coloured(
                     torch.from_numpy(placement.to_world(prediction.position[frame]))
                 )
                 for photograph in one.photographs[frame]:

@@ -65,14 +65,6 @@ class JoinedFeatures:
 
 
 @dataclass(frozen=True, eq=False)
-class FeatureMaps:
-    """Maps of all views by one extractor after reduction. maps: a view (h, w, D) float32; name: of it."""
-
-    name: str
-    maps: tuple[np.ndarray, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Principal:
     """Principal components. mean: (F,); axes: (F, D), columns; scale: what the projections are divided by, so
     that two random places of the object differ by a squared distance of 1 in the mean."""
@@ -84,6 +76,38 @@ class Principal:
     def of(self, values: np.ndarray) -> np.ndarray:
         """Values (..., F) as (..., D), float32."""
         return ((values - self.mean) @ self.axes / self.scale).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """How maps of one or several extractors become D channels. parts: of each its components and weight."""
+
+    parts: tuple[tuple[Principal, float], ...]
+
+    def map_of(self, photograph: Photograph, extractor: FeatureExtractor | JoinedFeatures) -> np.ndarray:
+        """The reduced map of another picture, (h, w, D) float32. extractor: that the reduction was found for.
+
+        Raises ValueError for an extractor of other channels.
+        """
+        each = extractor.extractors if isinstance(extractor, JoinedFeatures) else (extractor,)
+        if len(each) != len(self.parts):
+            raise ValueError(f"{extractor.name}: {len(each)} extractors; expected {len(self.parts)}")
+        maps = []
+        for one, (principal, weight) in zip(each, self.parts, strict=True):
+            values = one.map_of(photograph)
+            if values.shape[2] != len(principal.mean):
+                raise ValueError(f"{one.name}: {values.shape[2]} channels; expected {len(principal.mean)}")
+            maps.append(np.float32(weight) * principal.of(values))
+        return _side_by_side(maps)
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureMaps:
+    """Maps of all views by one extractor after reduction. maps: a view (h, w, D) float32; name: of it."""
+
+    name: str
+    maps: tuple[np.ndarray, ...]
+    reduction: Reduction
 
 
 def principal_components(samples: np.ndarray, count: int, *, seed: int = 0) -> Principal:
@@ -130,18 +154,24 @@ def feature_maps(
     report: called with the share that is done and what comes now.
     """
     if not isinstance(extractor, JoinedFeatures):
-        return FeatureMaps(extractor.name, _reduced(photographs, extractor, components, seed, report))
+        values, principal = _reduced(photographs, extractor, components, seed, report)
+        return FeatureMaps(extractor.name, values, Reduction(((principal, 1.0),)))
     count = len(extractor.extractors)
-    blocks = []
+    blocks, parts = [], []
     for number, (each, weight) in enumerate(zip(extractor.extractors, extractor.weights, strict=True)):
         part = None if report is None else _within(report, number / count, 1 / count)
         share = max(components // count, 1)
-        blocks.append([weight * values for values in _reduced(photographs, each, share, seed, part)])
-    joined = []
-    for views in zip(*blocks, strict=True):
-        height, width = (min(values.shape[axis] for values in views) for axis in (0, 1))
-        joined.append(np.concatenate([_brought_to(values, height, width) for values in views], axis=2))
-    return FeatureMaps(extractor.name, tuple(joined))
+        found, principal = _reduced(photographs, each, share, seed, part)
+        blocks.append([np.float32(weight) * values for values in found])
+        parts.append((principal, weight))
+    joined = tuple(_side_by_side(views) for views in zip(*blocks, strict=True))
+    return FeatureMaps(extractor.name, joined, Reduction(tuple(parts)))
+
+
+def _side_by_side(maps: Sequence[np.ndarray]) -> np.ndarray:
+    """Maps of one picture as one, at the resolution of the coarsest."""
+    height, width = (min(values.shape[axis] for values in maps) for axis in (0, 1))
+    return np.concatenate([_brought_to(values, height, width) for values in maps], axis=2)
 
 
 def _reduced(
@@ -150,7 +180,7 @@ def _reduced(
     components: int,
     seed: int,
     report: Report | None,
-) -> tuple[np.ndarray, ...]:
+) -> tuple[tuple[np.ndarray, ...], Principal]:
     maps, samples = [], []
     draw = np.random.default_rng(seed)
     for number, photograph in enumerate(photographs):
@@ -162,7 +192,7 @@ def _reduced(
         samples.append(own[draw.permutation(len(own))[:kept]])
         maps.append(values)
     principal = principal_components(np.concatenate(samples), components, seed=seed)
-    return tuple(principal.of(values) for values in maps)
+    return tuple(principal.of(values) for values in maps), principal
 
 
 def _within(report: Report, start: float, share: float) -> Report:

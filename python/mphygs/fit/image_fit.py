@@ -28,8 +28,9 @@ from mphygs.simulate.prediction import Prediction
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 
 # Frames of a sequence that are compared, fitted ones and left-out ones between them, and the longest side of
-# their pictures [px].
+# their pictures [px]; that of pictures whose features are taken, as in `mphygs segment`.
 FITTED_FRAMES, LEFT_OUT_FRAMES, LARGEST_SIDE = 8, 4, 160
+LOOKS_SIDE = 400
 ROUNDS, EVALUATIONS, HALVINGS = 2, 25, 3
 TRACK_WEIGHT = 0.1
 # No logarithm moves further in one round.
@@ -74,7 +75,9 @@ def fit_to_pictures(
 
     solution: with Jacobian. Raises SimulationError where its belief cannot be simulated.
     """
-    watched = {name: watch(pictured, name, span) for name, span in pictured.experiment.fitted.items()}
+    looks = weights.features > 0
+    spans = pictured.experiment.fitted.items()
+    watched = {name: watch(pictured, name, span, looks=looks) for name, span in spans}
     belief = solution.belief
     jacobian = solution.evaluation.jacobian
     normal = jacobian.T @ jacobian / max(2.0 * solution.evaluation.cost, 1e-300)
@@ -127,8 +130,8 @@ def fit_to_pictures(
     return ImageFit(belief, tuple(history), tuple(kept_out))
 
 
-def watch(pictured: Pictured, name: str, span: tuple[int, int]) -> Watched:
-    """Frames spread over a range, and what the cameras saw in them."""
+def watch(pictured: Pictured, name: str, span: tuple[int, int], *, looks: bool) -> Watched:
+    """Frames spread over a range, and what the cameras saw in them. looks: whether features are compared."""
     first, last = span
     frames = np.unique(np.linspace(first, last - 1, FITTED_FRAMES + LEFT_OUT_FRAMES).round().astype(int))
     # every third is left out, never the last one
@@ -138,10 +141,29 @@ def watch(pictured: Pictured, name: str, span: tuple[int, int]) -> Watched:
     photographs, pictures = {}, {}
     for frame in map(int, frames):
         found = views.read(frame)
-        factors = [max(1, -(-max(p.camera.width, p.camera.height) // LARGEST_SIDE)) for p in found]
-        photographs[frame] = [p.shrunk(factor) for p, factor in zip(found, factors, strict=True)]
-        pictures[frame] = [observation_of(p) for p in photographs[frame]]
+        photographs[frame] = [_at_most(p, LARGEST_SIDE) for p in found]
+        features = [None] * len(found)
+        if looks and pictured.looks is not None:
+            features = [pictured.looks.of(_at_most(p, LOOKS_SIDE)) for p in found]
+        pictures[frame] = [
+            observation_of(p, None if seen is None else _no_finer(seen, p.mask.shape))
+            for p, seen in zip(photographs[frame], features, strict=True)
+        ]
     return Watched(tuple(map(int, fitted)), tuple(map(int, left_out)), photographs, pictures)
+
+
+def _at_most(photograph: Photograph, side: int) -> Photograph:
+    """The photograph at a half, a third, ... of its size, no side longer than `side` [px]."""
+    return photograph.shrunk(max(1, -(-max(photograph.camera.width, photograph.camera.height) // side)))
+
+
+def _no_finer(features: Tensor, shape: tuple[int, int]) -> Tensor:
+    """A map (h, w, F) by means at a resolution that is at most `shape`."""
+    height, width = (min(have, most) for have, most in zip(features.shape[:2], shape, strict=True))
+    if (height, width) == tuple(features.shape[:2]):
+        return features
+    channels = features.permute(2, 0, 1)
+    return torch.nn.functional.adaptive_avg_pool2d(channels, (height, width)).permute(1, 2, 0)
 
 
 def _loss(
@@ -230,7 +252,9 @@ def fit_to_pictures_by_adam(
     L_2D counts relative to its start, as many times as pictures are compared, beside the priors. Raises
     SimulationError where the belief cannot be simulated.
     """
-    watched = {name: watch(pictured, name, span) for name, span in pictured.experiment.fitted.items()}
+    looks = weights.features > 0
+    spans = pictured.experiment.fitted.items()
+    watched = {name: watch(pictured, name, span, looks=looks) for name, span in spans}
     problem = pictured.experiment.problem(pictured.experiment.settings.spacing)
     keys = tuple(p.key for p in belief.free)
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from mphygs.capture.extractors import Extractor, extractor_of
+from mphygs.capture.features import Reduction
 from mphygs.capture.format import Capture
 from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence as Recording
-from mphygs.capture.views import SequenceViews, rest_views_of, sequence_views_of
+from mphygs.capture.views import Photograph, SequenceViews, rest_views_of, sequence_views_of
 from mphygs.compare.drawn import Drawn
 from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors, still
 from mphygs.fit.experiment import Experiment
@@ -22,33 +26,61 @@ from mphygs.fit.stage_files import StageFolder, particles_of
 from mphygs.model.belief import Belief
 from mphygs.render.image_metrics import ImageMetrics
 from mphygs.render.splatting import splat
+from mphygs.scene.gaussians import Gaussians
+from mphygs.scene.object_files import read_features
 from mphygs.scene.ply import read_gaussians
 from mphygs.simulate.prediction import Prediction, Predictor
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What gives the features of the Gaussians' looks to another picture. made_by: see `extractor_of`."""
+
+    made_by: str
+    reduction: Reduction
+
+    @cached_property
+    def extractor(self) -> Extractor:
+        """Loaded when it is first asked for. Raises ValueError where it cannot be."""
+        return extractor_of(self.made_by)
+
+    def of(self, photograph: Photograph) -> Tensor:
+        """(h, w, F) of a photograph."""
+        return torch.from_numpy(self.reduction.map_of(photograph, self.extractor))
 
 
 @dataclass(eq=False)
 class Pictured:
     """An experiment on an image capture, with what it takes to draw it.
 
-    source: the capture as it was recorded; drawn: Gaussians and their carriers; stages: folder of its stages.
+    source: the capture as it was recorded; drawn: Gaussians and their carriers, with the features of their
+    looks where those are known; stages: folder of its stages; looks: how pictures show those features.
     """
 
     experiment: Experiment
     source: Capture
     stages: Path
     drawn: Drawn
+    looks: Looks | None = None
     _predictors: dict[str, Predictor] = field(default_factory=dict)
     _views: dict[str, SequenceViews] = field(default_factory=dict)
 
     @classmethod
     def of(cls, experiment: Experiment, source: Capture, stages: Path) -> Pictured:
-        """Raises CaptureError where the Gaussians or the particles of the stages cannot be used."""
+        """Raises CaptureError where Gaussians, features or particles of the stages cannot be used."""
         files = StageFolder(stages)
         own = files.gaussians if files.gaussians.is_file() else source.gaussians
         gaussians = read_gaussians(own or files.gaussians)
         segments = len(list(files.parts.glob("*.ply")))
         particles = particles_of(stages, segments)
-        return cls(experiment, source, stages, Drawn.of(gaussians, particles.position[particles.inside]))
+        looks = None
+        if files.features.is_file():
+            known = read_features(files.features, gaussians.count)
+            if known.reduction is not None:
+                looks = Looks(known.made_by, known.reduction)
+                gaussians = replace(gaussians, features=torch.from_numpy(known.appearance))
+        drawn = Drawn.of(gaussians, particles.position[particles.inside])
+        return cls(experiment, source, stages, drawn, looks)
 
     def names(self, wanted: Sequence[str] = ()) -> list[str]:
         """Sequences with a video and with what holds them known, all or those wanted among them."""
@@ -97,6 +129,11 @@ class Pictured:
         """Positions of the carriers in frames 0..last-1, in the object's frame, and their derivatives."""
         return self.predictor(name).predict(belief, last=last, keys=keys)
 
+    def coloured(self, positions: Tensor) -> Gaussians:
+        """The Gaussians where the carriers (P, 3) [m] are in the world, without features."""
+        gaussians = self.drawn.at(positions)
+        return replace(gaussians, features=gaussians.features[:, :0])
+
     def shown(self, name: str, prediction: Prediction, frames: Sequence[int]) -> Iterator[Shown]:
         """Predicted pictures of frames, and what the cameras saw."""
         views, placement = self.views(name), self.placement(name)
@@ -104,7 +141,7 @@ class Pictured:
             positions = torch.from_numpy(placement.to_world(prediction.position[frame]))
             photographs = views.read(frame)
             with torch.no_grad():
-                gaussians = self.drawn.at(positions)
+                gaussians = self.coloured(positions)
                 pictures = [splat(gaussians, photograph.camera) for photograph in photographs]
             yield Shown(frame, pictures, photographs)
 

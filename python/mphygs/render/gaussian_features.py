@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import cv2
 from scipy import sparse
@@ -35,12 +36,14 @@ def gaussian_features(
     extractor: FeatureExtractor | JoinedFeatures,
     grouper: MaskGrouper,
     *,
+    made_by: str = "",
     seed: int = 0,
     report: Report | None = None,
 ) -> GaussianFeatures:
     """Features of every Gaussian: zD explains the extractor's maps, zA keeps the grouper's groups together.
 
-    report: called with the share that is done and what comes now.
+    made_by: what names the extractor to `mphygs.capture.extractors.extractor_of`; report: called with the
+    share that is done and what comes now.
     """
     tell = report if report is not None else _silent
     maps = feature_maps(
@@ -66,7 +69,8 @@ def gaussian_features(
     places = gaussians.positions.detach().numpy()
     near = cKDTree(places).query(places, k=min(_BONDED, len(places)))[1]
     affinity = affinity_features(sparse.hstack(groups), neighbour_groups(near), count=AFFINITIES)
-    return GaussianFeatures(appearance, affinity, f"{extractor.name}, {grouper.name}")
+    source = f"{extractor.name}, {grouper.name}"
+    return GaussianFeatures(appearance, affinity, source, made_by=made_by, reduction=maps.reduction)
 
 
 def _silent(share: float, text: str) -> None:
@@ -85,4 +89,4 @@ def _coarsened(maps: FeatureMaps) -> FeatureMaps:
         height, width = (max(round(factor * side), 1) for side in values.shape[:2])
         small = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
         found.append(small.reshape(height, width, values.shape[2]))
-    return FeatureMaps(maps.name, tuple(found))
+    return replace(maps, maps=tuple(found))

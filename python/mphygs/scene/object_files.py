@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.features import Principal, Reduction
 from mphygs.capture.meshes import Part, read_mesh, write_mesh
 from mphygs.scene.soft_boundary import Particles
 
@@ -17,17 +18,28 @@ FEATURES, PARTICLES, PARTS = "features.npz", "particles.npz", "parts"
 
 @dataclass(frozen=True, eq=False)
 class GaussianFeatures:
-    """Features of K Gaussians. appearance: (K, D) zD; affinity: (K, A) zA; source: what they came from."""
+    """Features of K Gaussians. appearance: (K, D) zD; affinity: (K, A) zA; source: what they came from;
+    made_by, reduction: the extractor's name and how its maps become zD, so that other pictures can be held
+    against it; "" and None where that is not known."""
 
     appearance: np.ndarray
     affinity: np.ndarray
     source: str
+    made_by: str = ""
+    reduction: Reduction | None = None
 
 
 def write_features(path: Path, features: GaussianFeatures) -> None:
     """Write features.npz."""
+    more: dict[str, np.ndarray] = {}
+    if features.reduction is not None:
+        more["made_by"] = np.array(features.made_by)
+        for k, (principal, weight) in enumerate(features.reduction.parts):
+            more |= {f"mean_{k}": principal.mean, f"axes_{k}": principal.axes}
+            more[f"scale_{k}"] = np.array([principal.scale, weight])
     np.savez(
         path,
+        **more,
         appearance=features.appearance.astype(np.float32),
         affinity=features.affinity.astype(np.float32),
         source=np.array(features.source),
@@ -39,7 +51,36 @@ def read_features(path: Path, count: int) -> GaussianFeatures:
     arrays = _arrays(path, ("appearance", "affinity", "source"))
     appearance = _numbers(path, arrays, "appearance", (count, None))
     affinity = _numbers(path, arrays, "affinity", (count, None))
-    return GaussianFeatures(appearance.astype(np.float32), affinity.astype(np.float32), str(arrays["source"]))
+    reduction = _reduction(path, arrays, appearance.shape[1])
+    return GaussianFeatures(
+        appearance.astype(np.float32),
+        affinity.astype(np.float32),
+        str(arrays["source"]),
+        made_by="" if reduction is None else str(arrays["made_by"]),
+        reduction=reduction,
+    )
+
+
+def _reduction(path: Path, arrays: dict[str, np.ndarray], channels: int) -> Reduction | None:
+    """How pictures become the appearance, None where the file does not say."""
+    if "made_by" not in arrays:
+        return None
+    parts = []
+    while f"mean_{len(parts)}" in arrays:
+        k = len(parts)
+        for name in (f"axes_{k}", f"scale_{k}"):
+            if name not in arrays:
+                raise fault(str(path), f'has no "{name}"', f'one beside "mean_{k}"')
+        mean = _numbers(path, arrays, f"mean_{k}", (None,))
+        axes = _numbers(path, arrays, f"axes_{k}", (len(mean), None))
+        scale, weight = _numbers(path, arrays, f"scale_{k}", (2,))
+        if not scale > 0:
+            raise fault(f"{path}: scale_{k}", f"is {scale:g}", "a number above zero")
+        parts.append((Principal(mean, axes, float(scale)), float(weight)))
+    found = sum(principal.axes.shape[1] for principal, _ in parts)
+    if found != channels:
+        raise fault(f"{path}: axes", f"give {found} channels", f"{channels}, as appearance")
+    return Reduction(tuple(parts))
 
 
 def write_particles(path: Path, particles: Particles) -> None:
@@ -107,7 +148,7 @@ def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
             for name in names:
                 if name not in stored:
                     raise fault(str(path), f'has no "{name}"', expected)
-            return {name: stored[name] for name in names}
+            return {name: stored[name] for name in stored.files}
     except CaptureError:
         raise
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
