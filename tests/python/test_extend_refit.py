@@ -23,7 +23,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.prediction import Prediction, Predictor, Settings
 
 FREE = ("part0.youngs_modulus",)
 ETA = 40.0
@@ -234,3 +234,26 @@ def test_no_gain_where_too_few_frames_were_left_out() -> None:
     for predict in ((0, 0), (24, 30)):
         few = {name: replace(item, predict=predict) for name, item in compared.items()}
         assert unseen_gain(few, few, np.random.default_rng(0)) is None
+
+
+def test_a_coarser_grid_leads_a_refit(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, before, entry, _ = scene()
+    coarse = 1.4 * SPACING
+    experiment.predictor("a", coarse)
+    asked: list[float] = []
+    predict = Predictor.predict
+
+    def counted(self: Predictor, *given: object, **named: object) -> Prediction:
+        if named.get("keys"):
+            asked.append(self.settings.spacing)
+        return predict(self, *given, **named)
+
+    monkeypatch.setattr(Predictor, "predict", counted)
+    alone = start_refit(experiment, before, entry, SPACING, iterations=4)
+    count = len(asked)
+    assert set(asked) == {SPACING}
+    asked.clear()
+    led = start_refit(experiment, before, entry, SPACING, iterations=4, lender=experiment.problem(coarse))
+    assert asked[0] == coarse and asked.count(SPACING) < count
+    assert led.evaluation.chi_square == pytest.approx(alone.evaluation.chi_square, rel=0.05)
+    assert led.belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.1)

@@ -9,6 +9,7 @@ import numpy as np
 
 from mphygs.diagnose.rank import rank
 from mphygs.extend.discover import first_fit, mask_outliers
+from mphygs.extend.finer import lender_of
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
@@ -65,7 +66,8 @@ def add_named(
         return _refitted(
             experiment, before, _started(before.belief, name, experiment), name, spacing, generator, report
         )
-    begun = start_refit(experiment, before.solution, entry, spacing, report=report)
+    lender = lender_of(experiment, spacing)
+    begun = start_refit(experiment, before.solution, entry, spacing, lender=lender, report=report)
     found = None
     if begun is not None:
         found = finish_refit(

@@ -14,7 +14,8 @@ from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.rank import Entry
 from mphygs.extend.setting_in import placed
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, minimise, told
+from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
+from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.scope import in_scope
@@ -116,12 +117,14 @@ def start_refit(
     share: float = 1.0,
     iterations: int = 3,
     hopeless: float = math.inf,
+    lender: Problem | None = None,
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
     """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate.
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends after the
-    first iteration. Returns None where no such model can be simulated.
+    first iteration; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
+    Returns None where no such model can be simulated.
     """
     problem = experiment.window(spacing, share)
     strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
@@ -149,7 +152,9 @@ def start_refit(
         return None
     try:
         if entry.kind == "threshold":
-            best = placed(problem, hold_friction(best))
+            best = placed(problem, hold_friction(best), lender=lender)
+        elif lender is not None:
+            best = approached(problem, lender, best)
         solution = minimise(problem, best, iterations=1, relative_tolerance=1e-3)
         done = len(solution.history) - 1
         if iterations > 1 and not solution.converged and solution.evaluation.chi_square < hopeless:
