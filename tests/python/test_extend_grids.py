@@ -165,6 +165,7 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
     for name, item in found.items():
         assert np.array_equal(item.predicted, own[name].predicted, equal_nan=True)
         wanted = own if worst == 1.2 else lent
+        assert item.tangents_of == (default() if worst == 1.2 else coarse)
         assert np.array_equal(item.jacobian, wanted[name].jacobian, equal_nan=True)
         assert not np.array_equal(own[name].jacobian, lent[name].jacobian, equal_nan=True)
 

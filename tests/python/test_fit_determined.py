@@ -37,6 +37,7 @@ def test_a_normal_is_as_sure_as_its_direction() -> None:
     assert not plain["contact.n_y"].determined and plain["contact.n_y"].std > 0.3
     told, more, less = of_unit_length(free, information, covariance)
     assert [p.value for p in told] == pytest.approx([0.2, *unit])
+    assert first @ more[1:, 1:] @ first == pytest.approx((0.1 / 0.01) ** 2)
     known = determinations(told, more, less)
     assert all(item.determined for item in known.values())
     wanted = [1e-3, 0.01, 0.02 * abs(second[1]), 0.02 * abs(second[2])]
