@@ -12,6 +12,7 @@ import torch
 
 from command_example import answer, call
 from mphygs import predict
+from mphygs.capture.errors import CaptureError
 from mphygs.capture.features import ColourFeatures
 from mphygs.capture.format import load_capture
 from mphygs.capture.mask_groups import Superpixels
@@ -99,6 +100,8 @@ def test_looks_in_the_videos_are_held_against_those_at_rest(
     assert {seen.features.shape[2] for seen in watched.pictures[frame]} == {3}
     plain = image_fit.watch(pictured, "frog", span, looks=False).pictures[frame]
     assert {seen.features for seen in plain} == {None}
+    with pytest.raises(CaptureError, match="features.npz: made_by: got 'magic'"):
+        _ = replace(pictured.looks, made_by="magic").extractor
     soft = belief.with_parameter("segment-00.youngs_modulus", value=1e5)
     placement, losses = pictured.placement("frog"), []
     for one in (belief, soft):

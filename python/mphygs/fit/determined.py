@@ -26,7 +26,7 @@ SMALL = 0.05
 # Components below this share of a direction's largest are not named.
 SMALLEST_COMPONENT = 0.2
 # Parameters that are a direction together, and how surely its length is known to be one.
-AXES = ("n_x", "n_y", "n_z")
+DIRECTIONS = (("contact.n_x", "contact.n_y", "contact.n_z"),)
 CERTAIN = 1e-6
 
 
@@ -99,13 +99,12 @@ def of_unit_length(
     """
     free, information, covariance = list(free), information.copy(), covariance.copy()
     place = {p.key: k for k, p in enumerate(free)}
-    for key in [key for key in place if key.endswith(f".{AXES[0]}")]:
-        owner = key.rsplit(".", 1)[0]
-        at = [place.get(f"{owner}.{axis}", -1) for axis in AXES]
-        if -1 in at:
-            continue
-        vector = np.array([free[k].value for k in at])
+    for keys in DIRECTIONS:
+        at = [place.get(key, -1) for key in keys]
+        vector = np.array([free[k].value for k in at if k >= 0])
         length = float(np.linalg.norm(vector))
+        if -1 in at or length == 0.0:
+            continue
         unit, scale = vector / length, np.array([free[k].scale for k in at])
         across = np.eye(len(free))
         across[np.ix_(at, at)] = (np.eye(3) - np.outer(unit, unit)) * scale / scale[:, None] / length

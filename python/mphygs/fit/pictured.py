@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.extractors import Extractor, extractor_of
 from mphygs.capture.features import Reduction
 from mphygs.capture.format import Capture
@@ -41,8 +42,13 @@ class Looks:
 
     @cached_property
     def extractor(self) -> Extractor:
-        """Loaded when it is first asked for. Raises ValueError where it cannot be."""
-        return extractor_of(self.made_by)
+        """Loaded when it is first asked for. Raises CaptureError where it cannot be."""
+        try:
+            return extractor_of(self.made_by)
+        except CaptureError:
+            raise
+        except ValueError as error:
+            raise fault("features.npz: made_by", str(error), "what segment --features takes") from error
 
     def of(self, photograph: Photograph) -> Tensor:
         """(h, w, F) of a photograph."""
