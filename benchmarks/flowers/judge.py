@@ -20,8 +20,8 @@ QUANTITIES = {"youngs_modulus": "E", "density": "rho"}
 
 
 def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, object]:
-    """Errors of pictures by range, of materials by true part, and the adjusted Rand index of the segments, as
-    they are and with those of one true part made one."""
+    """Errors of pictures by range, of materials by true part, what its volume came out as over its true one,
+    and the adjusted Rand index of the segments, as they are and with those of one true part made one."""
     state = load_run(run)
     truth = load_capture(capture / "truth")
     particles = particles_of(state.stages, len(list(StageFolder(state.stages).parts.glob("*.ply"))))
@@ -35,6 +35,10 @@ def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, 
         "in": sequences["frog"]["predict"],
         "cross": sequences["turned"]["predict"],
         "materials": materials(state, label, true_part, names, parts),
+        "volume_ratio": {
+            part.name: float((true_part == k).sum() * particles.spacing**3 / part.volume)
+            for k, part in enumerate(truth.parts)
+        },
         "segments": int(label.max()) + 1,
         "adjusted_rand_index": adjusted_rand_index(label, true_part),
         "adjusted_rand_index_merged": adjusted_rand_index(_merged(label, true_part), true_part),

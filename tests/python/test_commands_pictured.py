@@ -23,6 +23,7 @@ from mphygs.fit import image_fit, paper
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.of_run import experiment_of, pictured_of
 from mphygs.fit.pictured import Pictured
+from mphygs.fit.pictured_run import with_shares
 from mphygs.fit.run import load_run
 from mphygs.render.gaussian_features import gaussian_features
 from mphygs.render.video_loss import VideoWeights, video_loss
@@ -66,6 +67,25 @@ def test_fit_finds_the_stem_and_predicts_the_pictures(fitted: dict, capture: Pat
     run = load_run(fitted["run"])
     assert run.history[-1].name == "pictures" and len(run.belief.likenesses) > 4
     assert run.stages.is_dir() and run.belief.prestress == "paper"
+
+
+def test_boundaries_and_the_grid_are_in_the_standard_errors(fitted: dict) -> None:
+    run = load_run(fitted["run"])
+    experiment, belief = experiment_of(run, workers=1)
+    rows = experiment.problem(run.settings.spacing).evaluate(belief).jacobian
+    noise = np.linalg.pinv(rows.T @ rows, hermitian=True)
+    number = [p.key for p in belief.free].index("segment-00.youngs_modulus")
+    # what a finer grid would change
+    assert run.covariance[number, number] > 1.02 * noise[number, number]
+    # and boundaries, were they as unsure as a tenth of the stem's radius
+    parts = experiment.capture.parts
+    assert {part.boundary for part in parts} == {0.0}
+    stem = replace(parts[0], boundary=0.1 * parts[0].volume / parts[0].area)
+    unsure = replace(experiment, capture=replace(experiment.capture, parts=(stem, *parts[1:])))
+    more = with_shares(run, unsure)
+    added = more.covariance - run.covariance
+    assert 0.5 < np.sqrt(added[number, number]) / (3 * np.log(1.1)) < 1.1
+    assert more.information[number, number] < run.information[number, number]
 
 
 def test_pictures_tell_a_wrong_motion_from_the_right_one(fitted: dict) -> None:

@@ -19,12 +19,20 @@ from mphygs.capture.overlap import winding_number
 class Part:
     """One visible part of the object.
 
-    vertices: (V, 3) float64 [m], merged; faces: (F, 3) int64, closed, outward, volume above zero.
+    vertices: (V, 3) float64 [m], merged; faces: (F, 3) int64, closed, outward, volume above zero; boundary:
+    standard deviation of where all of its surface lies along its normal [m], 0 where the mesh is given.
     """
 
     name: str
     vertices: np.ndarray
     faces: np.ndarray
+    boundary: float = 0.0
+
+    @property
+    def area(self) -> float:
+        """Of the surface [m^2]."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
     @property
     def volume(self) -> float:

@@ -12,6 +12,7 @@ from mphygs.compare.assess import grid_shift
 from mphygs.extend.finer import compared_at, compared_by, evaluated
 from mphygs.extend.step import Step, known_budget
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
+from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
@@ -94,25 +95,29 @@ def restored(
     )
 
 
-def uncertainty(step: Step) -> np.ndarray:
-    """(P, P) covariance of the free coordinates: the noise's, and the grid's where a refinement is known.
+def uncertainty(step: Step, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the free coordinates and information of the measurements, (P, P) each: the noise's, that
+    of boundaries which pictures leave unsure, and in the covariance the grid's where a refinement is known.
 
     What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
     noise, and even that says too little, for it goes on from frame to frame.
     """
     evaluation = step.solution.evaluation
     noise = covariance(evaluation)
+    information = information_of(evaluation, len(step.belief.free))
+    columns = boundary_columns(experiment.capture.parts, step.belief.free)
+    spread, information = widened(noise, information, columns)
     if not step.explained:
-        noise = noise * max(evaluation.misfit, 1.0) ** 2
+        spread = spread + noise * (max(evaluation.misfit, 1.0) ** 2 - 1.0)
     rows = evaluation.jacobian[evaluation.data_rows :]
     shift = grid_shift(step.compared, rows.T @ rows)
-    return noise if shift is None else noise + np.outer(shift, shift)
+    return (spread if shift is None else spread + np.outer(shift, shift)), information
 
 
 def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:
     """One step as JSON. before: everything that was in the model, or corrected for, before this step."""
-    evaluation, belief = step.solution.evaluation, step.belief
-    information = information_of(evaluation, len(belief.free))
+    belief = step.belief
+    spread, information = uncertainty(step, experiment)
     # Corrections for faults that are not terms of the model are effects of the step all the same.
     kept = [name for name in before if name in belief.effects or name == "marker_outliers"]
     inside = dict.fromkeys(name for name in (*kept, *belief.effects, *step.added) if name not in step.dropped)
@@ -123,7 +128,7 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
         "sequences": errors_of(experiment, step.compared),
         "adequate": step.assessment.adequate,
         "p_value": step.assessment.p_value,
-        "parameters": parameters_document(belief, information, uncertainty(step)),
+        "parameters": parameters_document(belief, information, spread),
     }
 
 
@@ -148,7 +153,7 @@ def run_at(
     answer: Mapping[str, object] | None,
 ) -> Run:
     """The run that ends with a step. options: of the command that made it."""
-    evaluation = step.solution.evaluation
+    spread, information = uncertainty(step, experiment)
     return replace(
         run,
         folder=folder,
@@ -156,8 +161,8 @@ def run_at(
         settings=replace(run.settings, spacing=step.spacing),
         start=run.belief,
         belief=step.belief,
-        covariance=uncertainty(step),
-        information=information_of(evaluation, len(step.belief.free)),
+        covariance=spread,
+        information=information,
         left_out=left_out_of(experiment),
         answer=answer,
     )

@@ -19,7 +19,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.of_run import capture_of, errors_of, pictured_of
 from mphygs.fit.paper_plan import check_windows
-from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief
+from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.profile import Interval, intervals
 from mphygs.fit.run import Run, digest_of, is_run, load_run
@@ -127,6 +127,9 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     else:
         given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
         state = fit_run(state, experiment, **given, progress=console.progress)
+    if state.stages is not None:
+        console.say("what the grid and unsure boundaries leave open")
+        state = with_shares(state, experiment)
     found = {}
     if options.intervals:
         console.say("the fit is done and kept; intervals from the likelihood:")
@@ -165,11 +168,23 @@ def _answer(
     }
 
 
+def _boundary_lines(capture: Capture) -> list[str]:
+    """What pictures say of materials, where they leave the parts' boundaries unsure."""
+    unsure = max(part.boundary for part in capture.parts)
+    if unsure == 0:
+        return []
+    return [
+        f"boundaries of parts are known to {1e3 * unsure:.2g} mm, which is in the standard errors; what is "
+        "known better is E times the third power of the thickness",
+    ]
+
+
 def _text(state: Run, capture: Capture, embedded: bool) -> str:
     answer = state.answer
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
     if state.stages is not None:
         lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
+        lines[1:1] = _boundary_lines(capture)
     steps = ", ".join(f"{1e6 * dt:.0f} us on {name}" for name, dt in answer["substep"].items())
     lines.append(
         f"{answer['seconds']:.1f} s; {answer['substeps']} substeps in one pass over these frames ({steps})"

@@ -20,7 +20,7 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_matrix
-from mphygs.fit.stage_files import StageFolder, Tracks, read_motion, read_tracks
+from mphygs.fit.stage_files import StageFolder, Tracks, particles_of, read_motion, read_tracks
 from mphygs.scene.object_files import read_parts
 
 TRACK_COUNT = 250
@@ -59,11 +59,19 @@ def assembled(capture: Capture, stages: Path, *, tracked: bool = True) -> Captur
     stages that cannot be used, and where they contradict the capture.
     """
     files = StageFolder(stages)
-    parts = capture.parts or tuple(read_parts(files.parts))
+    parts = capture.parts or _parts(files)
     sequences = tuple(_assembled_sequence(r, files, parts, tracked) for r in capture.sequences)
     whole = replace(capture, parts=parts, sequences=sequences)
     check_capture(whole)
     return whole
+
+
+def _parts(files: StageFolder) -> tuple[Part, ...]:
+    parts = read_parts(files.parts)
+    boundary = 0.0
+    if files.particles.is_file():
+        boundary = particles_of(files.folder, len(parts)).boundary_std
+    return tuple(replace(part, boundary=boundary) for part in parts)
 
 
 def as_one_part(capture: Capture) -> Capture:
@@ -79,7 +87,8 @@ def as_one_part(capture: Capture) -> Capture:
     if mass is None and set(known.density) == {p.name for p in capture.parts}:
         mass = sum(known.density[p.name] * p.volume for p in capture.parts)
     one = replace(known, density={}, poissons_ratio=ratio, mass=mass)
-    return replace(capture, parts=(Part("object", vertices, faces),), known=one)
+    boundary = max(part.boundary for part in capture.parts)
+    return replace(capture, parts=(Part("object", vertices, faces, boundary),), known=one)
 
 
 def placement_of(recording: Recording, stages: Path) -> Placement:

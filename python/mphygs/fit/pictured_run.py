@@ -8,6 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
+from mphygs.compare.assess import grid_shift
+from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
@@ -47,9 +51,29 @@ def fit_pictured(run: Run, experiment: Experiment, console: Reporter) -> Run:
     without = tuple(name.strip() for name in str(run.options.get("without") or "").split(",") if name.strip())
     given = {name: str(run.options[name]) for name in ("optimiser", "schedule")}
     run = fit_run(run, experiment, **given, windows="windows" not in without, progress=console.progress)
-    if "l2d" in without or run.history[-1].name == PICTURES:
-        return run
-    return _to_pictures(run, experiment, console, distance="ldt" not in without)
+    if "l2d" not in without and run.history[-1].name != PICTURES:
+        run = _to_pictures(run, experiment, console, distance="ldt" not in without)
+    return run
+
+
+def with_shares(run: Run, experiment: Experiment) -> Run:
+    """A finished fit with what the grid, and boundaries that pictures leave unsure, add to its uncertainty.
+
+    Of the grid: how far what a finer one changes in the prediction would move the numbers (`grid_shift`). Of
+    boundaries: see `boundary_share`.
+    """
+    spacing = run.settings.spacing
+    evaluation = experiment.problem(spacing).evaluate(run.belief)
+    information = information_of(evaluation, len(run.belief.free))
+    total = covariance(evaluation)
+    compared = experiment.compare(run.belief, spacing, names=list(experiment.fitted), refine=True)
+    rows = evaluation.jacobian[evaluation.data_rows :]
+    shift = grid_shift(compared, rows.T @ rows)
+    columns = boundary_columns(experiment.capture.parts, run.belief.free)
+    total, information = widened(total, information, columns)
+    if shift is not None:
+        total = total + np.outer(shift, shift)
+    return replace(run, covariance=total, information=information)
 
 
 def _to_pictures(run: Run, experiment: Experiment, console: Reporter, *, distance: bool) -> Run:
@@ -67,15 +91,9 @@ def _to_pictures(run: Run, experiment: Experiment, console: Reporter, *, distanc
         found = fit_to_pictures_by_adam(pictured, run.belief, weights=weights, report=console.say)
     else:
         found = fit_to_pictures(pictured, solution, weights=weights, report=console.say)
-    if found.belief is not run.belief:
-        evaluation = problem.evaluate(found.belief)
     kept = len(found.history) > 1
     reason = "lowers L_2D" if kept else "nothing lowers L_2D on frames that were left out as well"
     record = StageRecord(
         PICTURES, run.settings.spacing, found.history, kept, reason, time.monotonic() - began
     )
-    return replace(
-        run.after(record, found.belief),
-        covariance=covariance(evaluation),
-        information=information_of(evaluation, len(found.belief.free)),
-    )
+    return run.after(record, found.belief)

@@ -24,6 +24,9 @@ Report = Callable[[float, str], None]
 _VOXELS_A_PARTICLE, _VOXELS = 100, (2.5e5, 4e6)
 _FAR = 0.1  # of the object's size, beside it, from which a Gaussian floats
 _LEAST_OPACITY = 0.05  # of Gaussians that say where the object is
+# Of a pixel where the object is: standard deviation of the boundary. Edges of silhouettes are known better,
+# but most of a surface is no edge in any view, and thin things come out thicker by up to a pixel each side.
+_BOUNDARY = 0.5
 _NEAREST = 4  # Gaussians that a particle has its features from, for segments
 
 
@@ -99,11 +102,18 @@ def found_object(
     ]
     own = find_segments(position[inside], blocks, settings.segments)
     label = own[cKDTree(position[inside]).query(position)[1]]
-    particles = Particles(position, signed, spacing, label, features.appearance[near[:, 0]])
+    boundary = _BOUNDARY * _pixel(photographs, position[inside].mean(axis=0))
+    particles = Particles(position, signed, spacing, label, features.appearance[near[:, 0]], boundary)
     tell(0.85, "meshes of the segments")
     names = [segment_name(number) for number in range(particles.segment_count)]
     parts = segment_meshes(lattice, distance, position[inside], own, names)
     return FoundObject(particles, tuple(parts), lift)
+
+
+def _pixel(photographs: Sequence[Photograph], place: np.ndarray) -> float:
+    """Width of a pixel [m] at a place (3,), the median over pictures."""
+    depths = [float(p.camera.project(place[None])[1][0]) / p.camera.focal.mean() for p in photographs]
+    return float(np.median(np.abs(depths)))
 
 
 def _on_object(views: Sequence[SeenDepth], places: np.ndarray) -> np.ndarray:

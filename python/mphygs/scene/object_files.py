@@ -85,8 +85,10 @@ def _reduction(path: Path, arrays: dict[str, np.ndarray], channels: int) -> Redu
 
 def write_particles(path: Path, particles: Particles) -> None:
     """Write particles.npz."""
+    more = {} if particles.boundary is None else {"boundary": np.array(particles.boundary)}
     np.savez(
         path,
+        **more,
         position=particles.position,
         label=particles.label.astype(np.int32),
         signed_distance=particles.signed_distance,
@@ -109,7 +111,13 @@ def read_particles(path: Path) -> Particles:
     spacing = float(_numbers(path, arrays, "spacing", ()))
     if not spacing > 0:
         raise fault(f"{path}: spacing", f"is {spacing:g} m", "a length above zero")
+    boundary = None
+    if "boundary" in arrays:
+        boundary = float(_numbers(path, arrays, "boundary", ()))
+        if boundary < 0:
+            raise fault(f"{path}: boundary", f"is {boundary:g} m", "a length, zero or more")
     return Particles(
+        boundary=boundary,
         position=position,
         signed_distance=_numbers(path, arrays, "signed_distance", (count,)),
         spacing=spacing,

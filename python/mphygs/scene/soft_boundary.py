@@ -19,7 +19,8 @@ class Particles:
     """N particles of a regular lattice.
 
     position: (N, 3) [m]; signed_distance: (N,), from the tentative boundary, negative inside [m]; spacing: of
-    the lattice [m]; label: (N,) int, segment; appearance: (N, D), feature of the nearest Gaussian.
+    the lattice [m]; label: (N,) int, segment; appearance: (N, D), feature of the nearest Gaussian; boundary:
+    standard deviation of where the tentative boundary lies along its normal [m], None where nobody said.
     Raises ValueError for shapes that do not fit together.
     """
 
@@ -28,6 +29,7 @@ class Particles:
     spacing: float
     label: np.ndarray
     appearance: np.ndarray
+    boundary: float | None = None
 
     def __post_init__(self) -> None:
         count = len(self.position)
@@ -43,11 +45,18 @@ class Particles:
                 raise ValueError(f"{name}: has shape {have}; expected {shape}")
         if not self.spacing > 0:
             raise ValueError(f"spacing: {self.spacing}; expected a length above zero [m]")
+        if self.boundary is not None and not self.boundary >= 0:
+            raise ValueError(f"boundary: {self.boundary}; expected a length, zero or more [m]")
 
     @property
     def inside(self) -> np.ndarray:
         """(N,) bool, those within the tentative boundary."""
         return self.signed_distance <= 0.0
+
+    @property
+    def boundary_std(self) -> float:
+        """The boundary's standard deviation [m]; what a lattice leaves open where nobody said."""
+        return 0.5 * self.spacing if self.boundary is None else self.boundary
 
     @property
     def segment_count(self) -> int:
