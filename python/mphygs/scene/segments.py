@@ -40,7 +40,7 @@ class SegmentSettings:
     core: int = 8
     place: float = 0.6
     rounds: int = 4
-    alike: float = 0.25
+    alike: float = 0.3
     least_segment: float = 0.01
     most: int = 25
     seed: int = 0
