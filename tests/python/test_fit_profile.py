@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
+from mphygs.fit import determined
 from mphygs.fit.problem import Evaluation
 from mphygs.fit.profile import Profile, intervals
 from mphygs.model.belief import Belief
@@ -70,6 +71,13 @@ def test_a_prior_narrows_its_own_parameters_interval() -> None:
     high = [math.log(found[key].upper / 1e4) for key in KEYS]
     assert high[0] == pytest.approx(0.5 + SIGMA, abs=0.03 * SIGMA)
     assert high[1] == pytest.approx(0.5 + 2.0 * SIGMA / math.sqrt(2.0), abs=0.03 * SIGMA)
+
+
+def test_components_of_a_direction_have_no_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(determined, "DIRECTIONS", (KEYS,))
+    assert intervals(Formula(), belief_at(0.5, 0.5)) == {}
+    one = belief_at(0.5, 0.5).with_parameter(KEYS[1], free=False)
+    assert list(intervals(Formula(), one)) == [KEYS[0]]
 
 
 def test_the_interval_of_a_curved_problem_is_lopsided_as_it_should_be() -> None:

@@ -79,7 +79,7 @@ class FitOptions(CommonOptions):
     intervals: bool = False
     """Also find each interval of two standard deviations from the likelihood: standard errors of a tenth of a
     value and more are lopsided. A few short fits for each of its ends, which are counted from the minimum
-    itself: a fit that leaves more than noise stops short of it."""
+    itself: a fit that leaves more than noise stops short of it. Components of a direction have none."""
     seed: int = 0
     """Of everything random that is done with this run."""
     workers: int | None = None

@@ -90,6 +90,12 @@ def determinations(
     return found
 
 
+def components(free: Sequence[Parameter]) -> set[str]:
+    """Keys of those parameters that are a direction together, all of them free."""
+    known = {p.key for p in free}
+    return {key for keys in DIRECTIONS if known.issuperset(keys) for key in keys}
+
+
 def of_unit_length(
     free: Sequence[Parameter], information: np.ndarray, covariance: np.ndarray
 ) -> tuple[list[Parameter], np.ndarray, np.ndarray]:

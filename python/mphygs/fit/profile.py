@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from mphygs.fit.determined import components
 from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
@@ -128,15 +129,18 @@ def intervals(
     deviations: float = 2.0,
     report: Callable[[str], None] | None = None,
 ) -> dict[str, Interval]:
-    """By key, the interval of every free parameter of a fitted belief.
+    """By key, the interval of every free parameter of a fitted belief, but for components of a direction:
+    they are fitted as a vector of any length, of which nothing is known.
 
     report: told each parameter before it is looked for. Raises SimulationError where the belief cannot be
     simulated.
     """
     profile = Profile.of(problem, belief)
     found = {}
-    for number, parameter in enumerate(profile.solution.belief.free, start=1):
+    vectors = components(belief.free)
+    wanted = [p for p in profile.solution.belief.free if p.key not in vectors]
+    for number, parameter in enumerate(wanted, start=1):
         if report:
-            report(f"interval of {parameter.key} ({number} of {len(belief.free)})")
+            report(f"interval of {parameter.key} ({number} of {len(wanted)})")
         found[parameter.key] = profile.interval(parameter.key, deviations)
     return found
