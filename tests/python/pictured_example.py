@@ -48,7 +48,7 @@ def stages_of_truth(capture: Path, run: Path, *, sigma: float = SIGMA, count: in
     np.savez(
         stages / "object" / "particles.npz", position=position, label=label.astype(np.int32),
         signed_distance=np.zeros(len(position)), spacing=spacing, appearance=appearance.astype(np.float32),
-        boundary=np.array(0.0),
+        pixel=np.array(0.0),
     )  # fmt: skip
     (stages / "rest").mkdir(exist_ok=True)
     write_gaussians(stages / "rest" / "gaussians.ply", gaussians_of_truth(capture, count))

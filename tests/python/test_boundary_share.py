@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from mphygs.capture.meshes import Part
-from mphygs.fit.boundary_share import boundary_columns, marginalised, widened
+from mphygs.fit.boundary_share import boundary_columns, found_boundary, marginalised, widened
 from mphygs.model.belief import Parameter
 
 
@@ -76,6 +76,14 @@ def test_a_boundary_that_is_not_known_at_all_leaves_the_rigidity_only() -> None:
     across = np.array([along[1], -along[0]])
     assert along @ information @ along == pytest.approx(0.0, abs=1e-6)
     assert across @ information @ across > 50.0
+
+
+def test_what_is_thinner_than_a_pixel_is_known_worst() -> None:
+    plate = box("plate", (1.0, 1.0, 0.002), 0.0)
+    known = [found_boundary(plate, pixel) / pixel for pixel in (4e-3, 1.5e-3, 1e-3, 1e-4)]
+    assert known[0] == 0.5 and known[-1] == 0.15
+    assert 0.5 >= known[1] > known[2] > 0.15
+    assert found_boundary(plate, 0.0) == 0.0
 
 
 def test_area_is_that_of_the_surface() -> None:

@@ -71,9 +71,9 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     capture = recorded()
     whole = assembled(capture, folder)
     assert [part.name for part in whole.parts] == ["segment-00", "segment-01"]
-    # particles that do not say how surely the boundary is known leave half their spacing open
-    assert [part.boundary for part in whole.parts] == [5e-4, 5e-4]
-    assert as_one_part(whole).parts[0].boundary == 5e-4
+    # particles that do not say what they were found in show as much as their spacing, and no part is thinner
+    assert [part.boundary for part in whole.parts] == pytest.approx([1.5e-4, 1.5e-4])
+    assert as_one_part(whole).parts[0].boundary == pytest.approx(1.5e-4)
     sequence = whole.sequences[0]
     rotation, position = sequence.held[0].poses(np.array([0.0]), 50.0)
     assert np.abs(rotation - np.eye(3)).max() < 1e-12 and np.abs(position).max() < 1e-12

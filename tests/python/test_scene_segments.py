@@ -145,11 +145,11 @@ def test_files_of_the_object_come_back_or_say_what_is_wrong(tmp_path: Path) -> N
     write_particles(path, particles)
     back = read_particles(path)
     assert back.position == pytest.approx(particles.position) and back.segment_count == 2
-    assert back.boundary is None and back.boundary_std == 1e-3
-    write_particles(path, replace(particles, boundary=3e-4))
-    assert read_particles(path).boundary_std == 3e-4
-    with pytest.raises(ValueError, match="boundary: -1"):
-        replace(particles, boundary=-1.0)
+    assert back.pixel is None and back.resolution == 2e-3
+    write_particles(path, replace(particles, pixel=3e-4))
+    assert read_particles(path).resolution == 3e-4
+    with pytest.raises(ValueError, match="pixel: -1"):
+        replace(particles, pixel=-1.0)
     stored = dict(np.load(path))
 
     def refused(match: str, **changed: np.ndarray) -> None:
@@ -162,7 +162,7 @@ def test_files_of_the_object_come_back_or_say_what_is_wrong(tmp_path: Path) -> N
     refused("whole numbers", label=np.array([0, 0.5, 1, 0]))
     refused("not finite", signed_distance=np.full(4, np.nan))
     refused("above zero", spacing=np.array(-1.0))
-    refused("zero or more", boundary=np.array(-1.0))
+    refused("zero or more", pixel=np.array(-1.0))
     refused("label", label=np.zeros(3))
     path.write_bytes(b"nothing")
     with pytest.raises(CaptureError, match="cannot be read"):

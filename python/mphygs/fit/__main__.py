@@ -174,8 +174,8 @@ def _boundary_lines(capture: Capture) -> list[str]:
     if unsure == 0:
         return []
     return [
-        f"boundaries of parts are known to {1e3 * unsure:.2g} mm, which is in the standard errors; what is "
-        "known better is E times the third power of the thickness",
+        f"boundaries of parts are known to {1e3 * unsure:.2g} mm and better, which the standard errors have: "
+        "of thin parts E times the third power of the thickness is known better",
     ]
 
 

@@ -20,6 +20,7 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_matrix
+from mphygs.fit.boundary_share import found_boundary
 from mphygs.fit.stage_files import StageFolder, Tracks, particles_of, read_motion, read_tracks
 from mphygs.scene.object_files import read_parts
 
@@ -68,10 +69,10 @@ def assembled(capture: Capture, stages: Path, *, tracked: bool = True) -> Captur
 
 def _parts(files: StageFolder) -> tuple[Part, ...]:
     parts = read_parts(files.parts)
-    boundary = 0.0
-    if files.particles.is_file():
-        boundary = particles_of(files.folder, len(parts)).boundary_std
-    return tuple(replace(part, boundary=boundary) for part in parts)
+    if not files.particles.is_file():
+        return tuple(parts)
+    pixel = particles_of(files.folder, len(parts)).resolution
+    return tuple(replace(part, boundary=found_boundary(part, pixel)) for part in parts)
 
 
 def as_one_part(capture: Capture) -> Capture:

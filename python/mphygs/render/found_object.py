@@ -24,9 +24,6 @@ Report = Callable[[float, str], None]
 _VOXELS_A_PARTICLE, _VOXELS = 100, (2.5e5, 4e6)
 _FAR = 0.1  # of the object's size, beside it, from which a Gaussian floats
 _LEAST_OPACITY = 0.05  # of Gaussians that say where the object is
-# Of a pixel where the object is: standard deviation of the boundary. Edges of silhouettes are known better,
-# but most of a surface is no edge in any view, and thin things come out thicker by up to a pixel each side.
-_BOUNDARY = 0.5
 _NEAREST = 4  # Gaussians that a particle has its features from, for segments
 
 
@@ -102,8 +99,8 @@ def found_object(
     ]
     own = find_segments(position[inside], blocks, settings.segments)
     label = own[cKDTree(position[inside]).query(position)[1]]
-    boundary = _BOUNDARY * _pixel(photographs, position[inside].mean(axis=0))
-    particles = Particles(position, signed, spacing, label, features.appearance[near[:, 0]], boundary)
+    pixel = _pixel(photographs, position[inside].mean(axis=0))
+    particles = Particles(position, signed, spacing, label, features.appearance[near[:, 0]], pixel)
     tell(0.85, "meshes of the segments")
     names = [segment_name(number) for number in range(particles.segment_count)]
     parts = segment_meshes(lattice, distance, position[inside], own, names)

@@ -85,7 +85,7 @@ def _reduction(path: Path, arrays: dict[str, np.ndarray], channels: int) -> Redu
 
 def write_particles(path: Path, particles: Particles) -> None:
     """Write particles.npz."""
-    more = {} if particles.boundary is None else {"boundary": np.array(particles.boundary)}
+    more = {} if particles.pixel is None else {"pixel": np.array(particles.pixel)}
     np.savez(
         path,
         **more,
@@ -111,13 +111,13 @@ def read_particles(path: Path) -> Particles:
     spacing = float(_numbers(path, arrays, "spacing", ()))
     if not spacing > 0:
         raise fault(f"{path}: spacing", f"is {spacing:g} m", "a length above zero")
-    boundary = None
-    if "boundary" in arrays:
-        boundary = float(_numbers(path, arrays, "boundary", ()))
-        if boundary < 0:
-            raise fault(f"{path}: boundary", f"is {boundary:g} m", "a length, zero or more")
+    pixel = None
+    if "pixel" in arrays:
+        pixel = float(_numbers(path, arrays, "pixel", ()))
+        if pixel < 0:
+            raise fault(f"{path}: pixel", f"is {pixel:g} m", "a length, zero or more")
     return Particles(
-        boundary=boundary,
+        pixel=pixel,
         position=position,
         signed_distance=_numbers(path, arrays, "signed_distance", (count,)),
         spacing=spacing,

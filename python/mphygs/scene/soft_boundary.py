@@ -19,8 +19,8 @@ class Particles:
     """N particles of a regular lattice.
 
     position: (N, 3) [m]; signed_distance: (N,), from the tentative boundary, negative inside [m]; spacing: of
-    the lattice [m]; label: (N,) int, segment; appearance: (N, D), feature of the nearest Gaussian; boundary:
-    standard deviation of where the tentative boundary lies along its normal [m], None where nobody said.
+    the lattice [m]; label: (N,) int, segment; appearance: (N, D), feature of the nearest Gaussian; pixel:
+    width at the object of a pixel of the pictures that it was found in [m], None where nobody said.
     Raises ValueError for shapes that do not fit together.
     """
 
@@ -29,7 +29,7 @@ class Particles:
     spacing: float
     label: np.ndarray
     appearance: np.ndarray
-    boundary: float | None = None
+    pixel: float | None = None
 
     def __post_init__(self) -> None:
         count = len(self.position)
@@ -45,8 +45,8 @@ class Particles:
                 raise ValueError(f"{name}: has shape {have}; expected {shape}")
         if not self.spacing > 0:
             raise ValueError(f"spacing: {self.spacing}; expected a length above zero [m]")
-        if self.boundary is not None and not self.boundary >= 0:
-            raise ValueError(f"boundary: {self.boundary}; expected a length, zero or more [m]")
+        if self.pixel is not None and not self.pixel >= 0:
+            raise ValueError(f"pixel: {self.pixel}; expected a length, zero or more [m]")
 
     @property
     def inside(self) -> np.ndarray:
@@ -54,9 +54,9 @@ class Particles:
         return self.signed_distance <= 0.0
 
     @property
-    def boundary_std(self) -> float:
-        """The boundary's standard deviation [m]; what a lattice leaves open where nobody said."""
-        return 0.5 * self.spacing if self.boundary is None else self.boundary
+    def resolution(self) -> float:
+        """What is smaller was not seen [m]: the pixel, where nobody said the lattice's spacing."""
+        return self.spacing if self.pixel is None else self.pixel
 
     @property
     def segment_count(self) -> int:
