@@ -20,6 +20,7 @@ from mphygs.capture.views import rest_views_of
 from mphygs.compare import __main__ as compare
 from mphygs.fit import __main__ as fit
 from mphygs.fit import image_fit, paper
+from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.of_run import experiment_of, pictured_of
 from mphygs.fit.pictured import Pictured
@@ -30,6 +31,7 @@ from mphygs.render.video_loss import VideoWeights, video_loss
 from mphygs.report import __main__ as report
 from mphygs.scene.object_files import write_features
 from mphygs.scene.ply import read_gaussians
+from mphygs.simulate.errors import SimulationError
 from pictured_example import SHOOT, pictured_flower, stages_of_truth
 
 SPACING = 0.009
@@ -82,10 +84,26 @@ def test_boundaries_and_the_grid_are_in_the_standard_errors(fitted: dict) -> Non
     assert {part.boundary for part in parts} == {0.0}
     stem = replace(parts[0], boundary=0.1 * parts[0].volume / parts[0].area)
     unsure = replace(experiment, capture=replace(experiment.capture, parts=(stem, *parts[1:])))
-    more = with_shares(run, unsure)
+    more = with_shares(run, unsure, print)
     added = more.covariance - run.covariance
     assert 0.5 < np.sqrt(added[number, number]) / (3 * np.log(1.1)) < 1.1
     assert more.information[number, number] < run.information[number, number]
+
+
+def test_a_finer_grid_that_cannot_carry_the_model_costs_no_fit(
+    fitted: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = load_run(fitted["run"])
+    experiment, _ = experiment_of(run, workers=1)
+
+    def refuse(*_args: object, **_options: object) -> None:
+        raise SimulationError("too soft")
+
+    monkeypatch.setattr(Experiment, "_refined", refuse)
+    said = []
+    alone = with_shares(run, experiment, said.append)
+    assert said == ["what a finer grid would change is not in the standard errors: too soft"]
+    assert np.trace(alone.covariance) < np.trace(run.covariance)
 
 
 def test_pictures_tell_a_wrong_motion_from_the_right_one(fitted: dict) -> None:

@@ -129,7 +129,7 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         state = fit_run(state, experiment, **given, progress=console.progress)
     if state.stages is not None:
         console.say("what the grid and unsure boundaries leave open")
-        state = with_shares(state, experiment)
+        state = with_shares(state, experiment, console.say)
     found = {}
     if options.intervals:
         console.say("the fit is done and kept; intervals from the likelihood:")

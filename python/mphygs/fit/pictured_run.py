@@ -21,6 +21,7 @@ from mphygs.fit.of_run import pictured_of
 from mphygs.fit.run import Run, StageRecord
 from mphygs.fit.stage_files import particles_of
 from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 
 # What may be left out, as in the paper's ablations.
 PARTS = ("l2d", "ldt", "lg", "windows", "prestress")
@@ -56,19 +57,23 @@ def fit_pictured(run: Run, experiment: Experiment, console: Reporter) -> Run:
     return run
 
 
-def with_shares(run: Run, experiment: Experiment) -> Run:
+def with_shares(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
     """A finished fit with what the grid, and boundaries that pictures leave unsure, add to its uncertainty.
 
     Of the grid: how far what a finer one changes in the prediction would move the numbers (`grid_shift`). Of
-    boundaries: see `boundary_share`.
+    boundaries: see `boundary_share`. say: told where a finer grid cannot carry the model.
     """
-    spacing = run.settings.spacing
+    spacing, names = run.settings.spacing, list(experiment.fitted)
     evaluation = experiment.problem(spacing).evaluate(run.belief)
     information = information_of(evaluation, len(run.belief.free))
     total = covariance(evaluation)
-    compared = experiment.compare(run.belief, spacing, names=list(experiment.fitted), refine=True)
+    try:
+        compared = experiment.compare(run.belief, spacing, names=names, refine=True)
+    except SimulationError as error:
+        say(f"what a finer grid would change is not in the standard errors: {error}")
+        compared = {}
     rows = evaluation.jacobian[evaluation.data_rows :]
-    shift = grid_shift(compared, rows.T @ rows)
+    shift = grid_shift(compared, rows.T @ rows) if compared else None
     columns = boundary_columns(experiment.capture.parts, run.belief.free)
     total, information = widened(total, information, columns)
     if shift is not None:
