@@ -75,6 +75,7 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     assert [part.boundary for part in whole.parts] == pytest.approx([1.5e-4, 1.5e-4])
     assert as_one_part(whole).parts[0].boundary == pytest.approx(1.5e-4)
     sequence = whole.sequences[0]
+    assert sequence.turn == pytest.approx(matrix_from_quaternion(TURN))
     rotation, position = sequence.held[0].poses(np.array([0.0]), 50.0)
     assert np.abs(rotation - np.eye(3)).max() < 1e-12 and np.abs(position).max() < 1e-12
     placement = placement_of(capture.sequences[0], folder)

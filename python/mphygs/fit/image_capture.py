@@ -115,7 +115,8 @@ def _assembled_sequence(
 ) -> Recording:
     placement = placement_of(recording, files.folder)
     held = tuple(_from_frame(hold, placement) for hold in _held(recording, files))
-    recording = replace(recording, held=held)
+    upright = np.array_equal(placement.rotation, np.eye(3))
+    recording = replace(recording, held=held, turn=None if upright else placement.rotation)
     path = files.tracks(recording.name)
     if recording.markers is not None or not tracked or not path.is_file():
         return recording

@@ -38,7 +38,8 @@ class Body:
     """One object at one spacing under one set of hold boxes.
 
     geometry: arrays for the core; quadrature: its points; centroid: (P, 3) of every part [m];
-    places: (K, 3) material points that effects at a place may use [m].
+    places: (K, 3) material points that effects at a place may use [m]; turn: of the sequence (see
+    `mphygs.capture.record.Sequence`).
     """
 
     quadrature: Quadrature
@@ -47,6 +48,11 @@ class Body:
     part_names: tuple[str, ...]
     centroid: np.ndarray
     parts: tuple = field(repr=False, default=())
+    turn: np.ndarray | None = field(repr=False, default=None)
+
+    def towards(self, vector: np.ndarray) -> np.ndarray:
+        """A vector (3,) of the world, gravity's, in the frame that the sequence is told in."""
+        return np.array(vector, float) if self.turn is None else np.asarray(vector, float) @ self.turn
 
     @property
     def block_count(self) -> int:

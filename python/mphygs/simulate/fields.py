@@ -103,10 +103,13 @@ def primal(belief: Belief, body: Body) -> dict[str, np.ndarray]:
         stiffness = material.youngs_modulus.min() / body.quadrature.spacing.min()
         effects[offsets["contact"] + 5] = 2.0 ** np.round(np.log2(stiffness))
     if belief.prestress == "paper":
-        carried = belief.gravity.copy()
+        carried = np.array(belief.gravity, float)
         if "gravity" in belief.effects:
             carried = carried + [belief[f"gravity.delta_g_{a}"].value for a in "xyz"]
-        effects[offsets["prestress"] : offsets["prestress"] + 3] = carried
+        effects[offsets["prestress"] : offsets["prestress"] + 3] = body.towards(carried)
+    if "gravity" in belief.effects:
+        own = slice(offsets["gravity"], offsets["gravity"] + 3)
+        effects[own] = body.towards(effects[own])
     return {
         "mu": mu,
         "lambda": lam,
@@ -115,7 +118,7 @@ def primal(belief: Belief, body: Body) -> dict[str, np.ndarray]:
         "effect": effects,
         "place_mass": place_mass,
         "place_effect": place_effect,
-        "gravity": np.asarray(belief.gravity, float),
+        "gravity": body.towards(belief.gravity),
     }
 
 
@@ -163,9 +166,13 @@ def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.
     if spec.site == "measurement":
         raise KeyError(parameter.key)
     out = np.zeros(len(core_parameter_nulls()))
-    out[core_parameter_offsets()[owner] + index] = parameter.slope
-    if owner == "gravity" and belief.prestress == "paper":
-        out[core_parameter_offsets()["prestress"] + index] = parameter.slope
+    first = core_parameter_offsets()
+    if owner == "gravity":
+        moved = parameter.slope * body.towards(np.eye(3)[index])
+        for name in ("gravity", "prestress") if belief.prestress == "paper" else ("gravity",):
+            out[first[name] : first[name] + 3] = moved
+    else:
+        out[first[owner] + index] = parameter.slope
     return {"effect": out}
 
 

@@ -65,6 +65,8 @@ class Predictor:
         particles = settings.transfer == MLS
         make = discretise_particles if particles else discretise
         body = body or make(capture, hold_boxes(recording), settings.spacing)
+        if body.turn is not recording.turn:
+            body = replace(body, turn=recording.turn)
         self.transfer: Transfer = (MaterialPoints if particles else TotalLagrangian)(body, settings)
         if recording.markers is not None:
             self.attachment = body.attach(recording.markers.at)
@@ -167,7 +169,7 @@ class Predictor:
     def _lift(self, belief: Belief, name: str, timeline: Timeline) -> np.ndarray:
         """(F, N, 3) force per mass that undoes a point mass's weight, which a known load states [m/s^2]."""
         place = np.asarray(belief.term(name).settings["place"], float)
-        force = self.transfer.point_share(place)[:, None] * -np.asarray(belief.gravity, float)
+        force = self.transfer.point_share(place)[:, None] * -self.body.towards(belief.gravity)
         return np.repeat(force[None], len(timeline.moving), axis=0)
 
     def changes(
