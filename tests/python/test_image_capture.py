@@ -50,7 +50,8 @@ def written(folder: Path, memory: float = 0.9) -> tuple[Path, np.ndarray]:
     rest = rng.uniform([0, 0, 0], [0.04, 0.01, 0.01], (600, 3))
     label = (rest[:, 0] > 0.02).astype(np.int32)
     np.savez(
-        files.particles, position=rest, label=label, signed_distance=np.zeros(600), spacing=np.array(1e-3),
+        files.particles, position=rest, label=label, signed_distance=np.where(label, -5e-3, -5e-4),
+        spacing=np.array(1e-3),
         appearance=np.eye(2)[label],
     )  # fmt: skip
     errors = np.zeros((FRAMES, 600, 3))
@@ -71,9 +72,13 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     capture = recorded()
     whole = assembled(capture, folder)
     assert [part.name for part in whole.parts] == ["segment-00", "segment-01"]
-    # particles that do not say what they were found in show as much as their spacing, and no part is thinner
-    assert [part.boundary for part in whole.parts] == pytest.approx([1.5e-4, 1.5e-4])
-    assert as_one_part(whole).parts[0].boundary == pytest.approx(1.5e-4)
+    # particles that do not say what they were found in show as much as their spacing
+    path = StageFolder(folder).particles
+    thin, thick = (whole.parts[k].boundary for k in range(2))
+    assert (thin, thick) == pytest.approx((5e-4, 1.5e-4))
+    assert as_one_part(whole).parts[0].boundary == thin
+    np.savez(path, **dict(np.load(path)), pixel=np.array(1e-5))
+    assert [part.boundary for part in assembled(capture, folder).parts] == pytest.approx([1.5e-6, 1.5e-6])
     sequence = whole.sequences[0]
     assert sequence.turn == pytest.approx(matrix_from_quaternion(TURN))
     rotation, position = sequence.held[0].poses(np.array([0.0]), 50.0)

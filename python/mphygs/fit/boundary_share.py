@@ -22,16 +22,15 @@ from mphygs.model.belief import Parameter
 # Standard deviation of a boundary that pictures show, over the width of a pixel at the object, where a part
 # is many pixels thick and where it is thinner than UNRESOLVED of them: what is thinner looks that thick.
 # From synthetic flowers in pictures of two sizes (`benchmarks/flowers`).
-RESOLVED, THIN, UNRESOLVED = 0.15, 0.5, 1.5
+RESOLVED, THIN, UNRESOLVED = 0.15, 0.5, 2.5
 POWERS = {"youngs_modulus": 3.0, "density": 1.0}
 
 
-def found_boundary(part: Part, pixel: float) -> float:
-    """Standard deviation of the boundary [m] of a part found in pictures. pixel: width at the object [m]."""
-    if pixel == 0:
-        return 0.0
-    thickness = 2.0 * part.volume / (part.area * pixel)
-    return pixel * max(RESOLVED, THIN * min(1.0, (UNRESOLVED / thickness) ** 3))
+def found_boundary(thickness: float, pixel: float) -> float:
+    """Standard deviation of the boundary [m] of a part found in pictures. thickness: as it was found [m];
+    pixel: width at the object [m]."""
+    wide = UNRESOLVED * pixel / thickness if thickness > 0 else np.inf
+    return pixel * max(RESOLVED, THIN * min(1.0, wide**3))
 
 
 def boundary_columns(parts: Sequence[Part], free: Sequence[Parameter]) -> np.ndarray:

@@ -30,6 +30,8 @@ LEAST_SEEN, LARGEST_SIGMA = 0.5, 3.0
 # How errors of tracks last where nothing held shows it, and at most.
 USUAL_MEMORY, USUAL_LASTING, LARGEST_MEMORY = 0.95, 0.9, 0.97
 _FEWEST_HELD = 3
+# The middle of a part: so large a share of its particles is not as deep in it.
+INNERMOST = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +73,13 @@ def _parts(files: StageFolder) -> tuple[Part, ...]:
     parts = read_parts(files.parts)
     if not files.particles.is_file():
         return tuple(parts)
-    pixel = particles_of(files.folder, len(parts)).resolution
-    return tuple(replace(part, boundary=found_boundary(part, pixel)) for part in parts)
+    particles = particles_of(files.folder, len(parts))
+    found = []
+    for number, part in enumerate(parts):
+        depth = -particles.signed_distance[particles.inside & (particles.label == number)]
+        thickness = 2.0 * float(np.quantile(depth, INNERMOST)) if len(depth) else 0.0
+        found.append(replace(part, boundary=found_boundary(thickness, particles.resolution)))
+    return tuple(found)
 
 
 def as_one_part(capture: Capture) -> Capture:
