@@ -45,7 +45,11 @@ def _means(done: Sequence[Mapping]) -> dict[str, object]:
     found["error_over_std"] = float(
         np.median([abs(m["error"]) / m["std"] for e in done for m in e["materials"].values()])
     )
-    found["adjusted_rand_index"] = _mean([entry["adjusted_rand_index"] for entry in done])
+    for symbol in ("E", "rho"):
+        known = [m for e in done for key, m in e["materials"].items() if key.endswith(f".{symbol}")]
+        found[f"{symbol}_within_two_std"] = _mean([float(abs(m["error"]) < 2.0 * m["std"]) for m in known])
+    for name in ("adjusted_rand_index", "adjusted_rand_index_merged"):
+        found[name] = _mean([entry[name] for entry in done])
     found["seconds"] = _mean([entry["seconds"] for entry in done])
     found["stage_seconds"] = _mean([sum(s["seconds"] for s in entry["stages"].values()) for entry in done])
     peaks = [max([e["memory"], *(s["memory"] for s in e["stages"].values())]) for e in done]

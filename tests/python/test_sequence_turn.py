@@ -47,8 +47,15 @@ def test_equilibrium_is_held_in_the_turned_frame() -> None:
     settings = Settings(spacing=0.01)
     capture = told(bar_capture(frames=FRAMES, rest="equilibrium"), TURN)
     belief = bar_belief(capture, prestress="equilibrium", youngs_modulus=2e5)
-    found = Predictor(capture, capture.sequences[0], settings).predict(belief)
+    predictor = Predictor(capture, capture.sequences[0], settings)
+    found = predictor.predict(belief)
     assert np.abs(found.position - found.position[0]).max() < 1e-7
+    # by the shape that carries the turned weight, not the one of the capture's own frame
+    direct = bar_capture(frames=FRAMES, rest="equilibrium", gravity=TURN.T @ DOWN)
+    there = bar_belief(direct, prestress="equilibrium", youngs_modulus=2e5)
+    expected = Predictor(direct, direct.sequences[0], settings).rest_shape.solve(there)
+    for name, values in predictor.rest_shape.solve(belief).items():
+        assert values == pytest.approx(expected[name], abs=1e-9)
 
 
 def test_sequences_with_the_same_hold_and_unlike_frames_share_no_gravity() -> None:

@@ -21,7 +21,7 @@ from mphygs.model.belief import Parameter
 
 # Standard deviation of a boundary that pictures show, over the width of a pixel at the object, where a part
 # is many pixels thick and where it is thinner than UNRESOLVED of them: what is thinner looks that thick.
-# From synthetic flowers in pictures of two sizes (`benchmarks/flowers`).
+# Chosen by how much too large parts of synthetic flowers come out: `volume_ratio` of `benchmarks/flowers`.
 RESOLVED, THIN, UNRESOLVED = 0.15, 0.5, 2.5
 POWERS = {"youngs_modulus": 3.0, "density": 1.0}
 
