@@ -9,10 +9,13 @@ from cases import Case
 
 from mphygs.extend.discover import Discovery
 from mphygs.extend.steps import uncertainty
+from mphygs.fit.experiment import Experiment
 from mphygs.model.registry import effects
 
 
-def record(case: Case, answer: Mapping[str, object], found: Discovery, seconds: float) -> dict[str, object]:
+def record(
+    case: Case, answer: Mapping[str, object], found: Discovery, experiment: Experiment, seconds: float
+) -> dict[str, object]:
     """Verdict, names, the true effect's statistic, errors of parameters, held-out error."""
     first, last = found.steps[0], found.steps[-1]
     ties = sorted({name for step in found.steps for name in step.ties})
@@ -36,7 +39,7 @@ def record(case: Case, answer: Mapping[str, object], found: Discovery, seconds: 
             }
             for e in (found.rankings[0].entries[:5] if found.rankings else ())
         ],
-        "errors_in_std": _parameter_errors(case, answer, found),
+        "errors_in_std": _parameter_errors(case, answer, found, experiment),
         "error_before": _ratios(first, "fit") + _ratios(first, "predict"),
         "held_out": _ratios(last, "predict"),
         "predicted_over_actual": _drops(found),
@@ -58,10 +61,12 @@ def _ratios(step: object, label: str) -> list[float]:
     return [float(ranges[label]) for ranges in step.assessment.ratio.values() if label in ranges]
 
 
-def _parameter_errors(case: Case, answer: Mapping[str, object], found: Discovery) -> dict[str, float]:
+def _parameter_errors(
+    case: Case, answer: Mapping[str, object], found: Discovery, experiment: Experiment
+) -> dict[str, float]:
     """(found - true) / standard error of every strength of a true effect that is in the last model."""
     step = found.steps[-1]
-    deviations = np.sqrt(np.diag(uncertainty(step)))
+    deviations = np.sqrt(np.diag(uncertainty(step, experiment)[0]))
     truth: dict[str, float] = {}
     for name in case.true_names:
         values = {**answer["effects"], **answer["faults"]}.get(name, {})

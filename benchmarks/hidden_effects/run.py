@@ -75,7 +75,7 @@ def run_case(case: Case, seed: int, options: Options, say: object) -> dict:
         found = discover(
             experiment, starting_belief(capture), spacing, seed=seed, screening=screening, report=say
         )
-        entry = record(case, answer, found, time.perf_counter() - began)
+        entry = record(case, answer, found, experiment, time.perf_counter() - began)
     except (
         Exception
     ) as error:  # whatever one case trips over, the others go on, and it is run again next time
