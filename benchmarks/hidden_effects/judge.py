@@ -10,6 +10,7 @@ from cases import Case
 from mphygs.extend.discover import Discovery
 from mphygs.extend.steps import uncertainty
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.places import place_of
 from mphygs.model.registry import effects
 
 
@@ -66,12 +67,18 @@ def _parameter_errors(
 ) -> dict[str, float]:
     """(found - true) / standard error of every strength of a true effect that is in the last model."""
     step = found.steps[-1]
-    deviations = np.sqrt(np.diag(uncertainty(step, experiment)[0]))
+    spread = uncertainty(step, experiment)
+    deviations = np.sqrt(np.diag(spread.covariance))
     truth: dict[str, float] = {}
     for name in case.true_names:
         values = {**answer["effects"], **answer["faults"]}.get(name, {})
         truth |= {f"{name}.{key}": value for key, value in values.items() if isinstance(value, float)}
     errors = {}
+    for name, std in spread.places.items():
+        place = answer["effects"].get(name, {}).get("place")
+        if place is not None:
+            off = (place_of(step.belief, name) - place) / std
+            errors |= {f"{name}.place_{axis}": float(e) for axis, e in zip("xyz", off, strict=True)}
     for parameter, deviation in zip(step.belief.free, deviations, strict=True):
         if parameter.key in truth and deviation > 0.0:
             errors[parameter.key] = float(

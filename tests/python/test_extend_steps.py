@@ -38,20 +38,21 @@ def test_a_coarse_grid_is_not_sure_of_the_stiffness() -> None:
     # What it leaves is not explained: all of it counts as noise.
     misfit = plain.solution.evaluation.misfit
     assert not plain.explained and misfit > 1.5
-    spread, information = uncertainty(plain, experiment)
+    spread, information, places = uncertainty(plain, experiment)
+    assert not places
     assert spread == pytest.approx(noise * misfit**2)
     # A boundary that pictures leave unsure adds to that, and is taken from what the measurements say.
     part = replace(capture.parts[0], boundary=1e-4)
     unsure = replace(experiment, capture=replace(experiment.capture, parts=(part,)))
     (column,) = boundary_columns([part], belief.free)
-    more, less = uncertainty(plain, unsure)
+    more, less, _ = uncertainty(plain, unsure)
     # the prior is weak beside the measurements: all of it shows
     assert more - spread == pytest.approx(np.outer(column, column), rel=0.01)
     assert less[0, 0] < information[0, 0]
     known = with_budget(experiment, plain)
     assert known_budget(known)
     off = abs(np.log(belief[KEY].value / 6e4))
-    noise_std, std = (float(np.sqrt(c[0, 0])) for c in (noise, uncertainty(known, experiment)[0]))
+    noise_std, std = (float(np.sqrt(c[0, 0])) for c in (noise, uncertainty(known, experiment).covariance))
     assert off > 5.0 * noise_std and known.explained
     assert 0.4 * off < std < 2.5 * off
 

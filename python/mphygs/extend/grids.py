@@ -23,6 +23,7 @@ from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
 from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
+from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import default_spacing, find_scale, screening_spacing, simulable
 from mphygs.model.belief import Belief
@@ -224,7 +225,12 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
     if step.lender is not None or step.assessment.worst > EXPLAINED:
         return step  # what Jacobians of another grid lead to has none, and the grid's error hides them
     say = report or (lambda _text: None)
-    solution = _to_last_digits(experiment.problem(step.spacing), step.belief)
+    problem = experiment.problem(step.spacing)
+    lender = lender_of(experiment, step.spacing)
+    solution = relocated(
+        problem, step.solution, columns_of=lender, relative_tolerance=LAST_DIGITS, report=report
+    )
+    solution = _to_last_digits(problem, solution.belief)
     if solution.belief is step.belief:
         return step
     # Where a refinement excused a part of the misfit, it is asked again.

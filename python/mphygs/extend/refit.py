@@ -15,6 +15,7 @@ from mphygs.diagnose.rank import Entry
 from mphygs.extend.setting_in import placed
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
+from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -197,6 +198,7 @@ def finish_refit(
             solution = minimise(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
             )
+        solution = relocated(problem, solution, relative_tolerance=accuracy, report=report)
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
     except SimulationError:
         return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import errors_of
+from mphygs.fit.places import located, with_places
 from mphygs.fit.run import Run
 from mphygs.fit.tables import parameters_document
 from mphygs.model.belief import Belief
@@ -95,9 +97,18 @@ def restored(
     )
 
 
-def uncertainty(step: Step, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the free coordinates and information of the measurements, (P, P) each: the noise's, that
-    of boundaries which pictures leave unsure, and in the covariance the grid's where a refinement is known.
+class Uncertainty(NamedTuple):
+    """covariance: of the free coordinates, information: of the measurements, (P, P) each; places: standard
+    deviations (3,) of where effects sit, by name [m]."""
+
+    covariance: np.ndarray
+    information: np.ndarray
+    places: dict[str, np.ndarray]
+
+
+def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
+    """How sure a step is: by the noise, places that were fitted and boundaries that pictures leave unsure,
+    and in the covariance by the grid as well where a refinement is known.
 
     What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
     noise, and even that says too little, for it goes on from frame to frame.
@@ -105,19 +116,22 @@ def uncertainty(step: Step, experiment: Experiment) -> tuple[np.ndarray, np.ndar
     evaluation = step.solution.evaluation
     noise = covariance(evaluation)
     information = information_of(evaluation, len(step.belief.free))
+    grid = experiment.problem(step.spacing if step.lender is None else step.lender)  # that of the Jacobian
+    noise, information, places = with_places(grid, step.belief, evaluation, noise, information)
     columns = boundary_columns(experiment.capture.parts, step.belief.free)
     spread, information = widened(noise, information, columns)
     if not step.explained:
         spread = spread + noise * (max(evaluation.misfit, 1.0) ** 2 - 1.0)
     rows = evaluation.jacobian[evaluation.data_rows :]
     shift = grid_shift(step.compared, rows.T @ rows)
-    return (spread if shift is None else spread + np.outer(shift, shift)), information
+    spread = spread if shift is None else spread + np.outer(shift, shift)
+    return Uncertainty(spread, information, places)
 
 
 def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:
     """One step as JSON. before: everything that was in the model, or corrected for, before this step."""
-    belief = step.belief
-    spread, information = uncertainty(step, experiment)
+    spread, information, places = uncertainty(step, experiment)
+    belief = located(step.belief, places)
     # Corrections for faults that are not terms of the model are effects of the step all the same.
     kept = [name for name in before if name in belief.effects or name == "marker_outliers"]
     inside = dict.fromkeys(name for name in (*kept, *belief.effects, *step.added) if name not in step.dropped)
@@ -153,14 +167,14 @@ def run_at(
     answer: Mapping[str, object] | None,
 ) -> Run:
     """The run that ends with a step. options: of the command that made it."""
-    spread, information = uncertainty(step, experiment)
+    spread, information, places = uncertainty(step, experiment)
     return replace(
         run,
         folder=folder,
         options=options,
         settings=replace(run.settings, spacing=step.spacing),
         start=run.belief,
-        belief=step.belief,
+        belief=located(step.belief, places),
         covariance=spread,
         information=information,
         left_out=left_out_of(experiment),

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mphygs.fit.determined import determinations, of_unit_length
+from mphygs.fit.places import places_document
 from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
@@ -32,7 +33,7 @@ def parameters_document(
 ) -> dict[str, dict[str, object]]:
     """Key -> value, std, unit, whether the data determine it, and a note where there is something to say.
 
-    Directions are told as unit vectors, and how sure they are across.
+    Directions are told as unit vectors, and how sure they are across; places that were fitted by axis.
 
     information: (P, P) of the measurements, covariance: (P, P), of the free coordinates.
     """
@@ -48,7 +49,7 @@ def parameters_document(
             "determined": found.determined,
         }
         out[parameter.key] = entry | ({"note": found.note} if found.note else {})
-    return out
+    return out | places_document(belief)
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

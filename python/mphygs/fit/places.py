@@ -1,0 +1,206 @@
+"""Where an effect at a place sits: the derivative of a fit by the place, and the place fitted.
+
+A place is no number of a belief: it is a setting of its term, chosen from a few candidates. Between them the
+prediction changes smoothly; its derivative is taken from places half a cell to each side, in the material.
+How surely it is known is a setting as well ("place_std", (3,) [m]), of beliefs that are concluded from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.problem import Evaluation, Problem
+from mphygs.model.belief import Belief
+from mphygs.scene.closest import closest_material
+from mphygs.simulate.errors import SimulationError
+
+# Of a cell: how far to each side a derivative by the place is taken; less than the second number of it, where
+# the material ends, is no direction that a place can be moved in.
+SIDE, THIN = 0.5, 0.25
+# Cells that a place is moved at once, at most; how often; shorter steps tried; what a step has to promise
+# [half a squared standard deviation], besides its share of the cost.
+LONGEST, ROUNDS, HALVINGS, WORTH = 4.0, 12, 3, 0.1
+# Of any coordinate of the materials that gives way to the move.
+LONGEST_COORDINATE = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceColumns:
+    """The derivative of a residual by where an effect sits. columns: (N, K), data rows only are not zero;
+    moves: (K, 3), how far the place is moved by one of each [m]; prior: (K,) standard deviations of how many
+    of each before any measurement, the object's size; room: (3,) [m] of material to its sides in the axes
+    without a move, zero in the others."""
+
+    columns: np.ndarray
+    moves: np.ndarray
+    prior: np.ndarray
+    room: np.ndarray
+
+
+def movable(belief: Belief) -> tuple[str, ...]:
+    """Effects whose place was found; that of the weight of a known load is where the load pulls."""
+    return tuple(t.name for t in belief.terms if "place" in t.settings and "sequences" not in t.settings)
+
+
+def place_of(belief: Belief, name: str) -> np.ndarray:
+    """(3,) place of an effect in the published shape [m]."""
+    return np.asarray(belief.term(name).settings["place"], float)
+
+
+def moved(belief: Belief, name: str, place: np.ndarray) -> Belief:
+    """The belief with an effect at another place (3,) [m]."""
+    settings = {**belief.term(name).settings, "place": np.asarray(place, float).tolist()}
+    terms = tuple(replace(t, settings=settings) if t.name == name else t for t in belief.terms)
+    return replace(belief, terms=terms)
+
+
+def place_columns(problem: Problem, belief: Belief, name: str) -> PlaceColumns:
+    """The derivative of a problem's residual by where an effect sits, in each axis that the material leaves
+    room in. Raises SimulationError."""
+    cell = problem.settings.spacing
+    here = place_of(belief, name)
+    sides = np.concatenate([here + SIDE * cell * np.eye(3), here - SIDE * cell * np.eye(3)])
+    sides = closest_material(problem.capture.parts, sides).anchor
+    columns, moves, room = [], [], np.zeros(3)
+    for axis, (ahead, behind) in enumerate(zip(sides[:3], sides[3:], strict=True)):
+        if np.linalg.norm(ahead - behind) < 2.0 * SIDE * THIN * cell:
+            room[axis] = np.linalg.norm(ahead - behind)
+            continue
+        there, back = (
+            problem.evaluate(moved(belief, name, place), jacobian=False).residual for place in (ahead, behind)
+        )
+        columns.append(there - back)
+        moves.append(ahead - behind)
+    count = len(problem.evaluate(belief, jacobian=False).residual)
+    by = np.array(moves).reshape(-1, 3)
+    return PlaceColumns(
+        np.stack(columns, axis=1) if columns else np.zeros((count, 0)),
+        by,
+        _size(problem) / np.linalg.norm(by, axis=1),
+        room,
+    )
+
+
+def _size(problem: Problem) -> float:
+    """Largest extent of the object [m]."""
+    vertices = np.concatenate([part.vertices for part in problem.capture.parts])
+    return float(np.ptp(vertices, axis=0).max())
+
+
+def relocated(
+    problem: Problem,
+    solution: Solution,
+    *,
+    columns_of: Problem | None = None,
+    iterations: int = 4,
+    relative_tolerance: float = 1e-3,
+    report: Callable[[str], None] | None = None,
+) -> Solution:
+    """A fit with the places of its effects fitted as well, by Gauss-Newton steps in which the materials give
+    way; as it was where no place lowers the cost.
+
+    columns_of: the same fit on a coarser grid that the derivatives by the place are taken from; iterations:
+    of the fit of all else at each new place; relative_tolerance: as for `minimise`. Raises SimulationError.
+    """
+    for name in movable(solution.belief):
+        for _ in range(ROUNDS):
+            try:
+                found = place_columns(columns_of or problem, solution.belief, name)
+            except SimulationError:
+                break
+            better = _step(problem, solution, name, found, relative_tolerance)
+            if better is None:
+                break
+            before = solution.evaluation.cost
+            solution = minimise(
+                problem, better, iterations=iterations, relative_tolerance=relative_tolerance
+            )
+            if report:
+                at = ", ".join(f"{1e3 * x:.1f}" for x in place_of(solution.belief, name))
+                report(f"{name} moved to ({at}) mm: {solution.evaluation.misfit:.3f} sigma")
+            if before - solution.evaluation.cost < WORTH + relative_tolerance * before:
+                break
+    return solution
+
+
+def _step(
+    problem: Problem, solution: Solution, name: str, found: PlaceColumns, relative_tolerance: float
+) -> Belief | None:
+    """The belief after one step of the place and of all else, None where none lowers the cost enough."""
+    evaluation, belief = solution.evaluation, solution.belief
+    if not len(found.moves):
+        return None
+    both = np.hstack([evaluation.jacobian, found.columns])
+    weight = np.r_[np.zeros(evaluation.jacobian.shape[1]), found.prior**-2.0]
+    normal = both.T @ both
+    normal += np.diag(weight + 1e-9 * np.maximum(np.diag(normal), 1e-12))
+    step = -np.linalg.solve(normal, both.T @ evaluation.residual)
+    p = evaluation.jacobian.shape[1]
+    shift = step[p:] @ found.moves
+    length = float(np.linalg.norm(shift)) / (LONGEST * problem.settings.spacing)
+    step /= max(1.0, length, np.abs(step[:p]).max(initial=0.0) / LONGEST_COORDINATE)
+    promised = -(both.T @ evaluation.residual) @ step - 0.5 * step @ (both.T @ (both @ step))
+    if promised < WORTH + relative_tolerance * evaluation.cost:
+        return None
+    for _ in range(1 + HALVINGS):
+        place = place_of(belief, name) + step[p:] @ found.moves
+        place = closest_material(problem.capture.parts, place[None]).anchor[0]
+        trial = moved(belief.at(belief.coordinates + step[:p]), name, place)
+        try:
+            if problem.evaluate(trial, jacobian=False).cost < evaluation.cost:
+                return trial
+        except SimulationError:
+            pass
+        step = 0.5 * step
+    return None
+
+
+def with_places(
+    problem: Problem, belief: Belief, evaluation: Evaluation, noise: np.ndarray, information: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Covariance of the free coordinates and information of the measurements, (P, P) each, when the places of
+    effects are fitted too, and the standard deviation (3,) of each of these [m].
+
+    noise, information: of the evaluation, as if the places were known. Raises SimulationError.
+    """
+    spread: dict[str, np.ndarray] = {}
+    for name in movable(belief):
+        found = place_columns(problem, belief, name)
+        rows = evaluation.jacobian[: evaluation.data_rows]
+        columns = found.columns[: evaluation.data_rows]
+        told = rows.T @ columns
+        own = columns.T @ columns + np.diag(found.prior**-2.0)
+        information = information - told @ np.linalg.solve(own, told.T)
+        # The coordinates' covariance with the places fitted: Schur complement of what is known without.
+        moved_by = noise @ told
+        of_place = np.linalg.inv(own - told.T @ moved_by)
+        noise = noise + moved_by @ of_place @ moved_by.T
+        variance = np.einsum("ka,kl,lb->ab", found.moves, of_place, found.moves).diagonal()
+        spread[name] = np.sqrt(variance + found.room**2 / 12.0)
+    return noise, information, spread
+
+
+def located(belief: Belief, spread: Mapping[str, np.ndarray]) -> Belief:
+    """The belief with how surely the places of its effects are known, (3,) [m] each, among their settings."""
+    terms = tuple(
+        replace(t, settings={**t.settings, "place_std": np.asarray(spread[t.name], float).tolist()})
+        if t.name in spread
+        else t
+        for t in belief.terms
+    )
+    return replace(belief, terms=terms)
+
+
+def places_document(belief: Belief) -> dict[str, dict[str, object]]:
+    """Value, std, unit and whether it is determined, of each coordinate of each place that was fitted."""
+    out: dict[str, dict[str, object]] = {}
+    for term in belief.terms:
+        for axis, value, std in zip(
+            "xyz", term.settings.get("place", ()), term.settings.get("place_std", ()), strict=False
+        ):
+            out[f"{term.name}.place_{axis}"] = {"value": value, "std": std, "unit": "m", "determined": True}
+    return out

@@ -1,0 +1,140 @@
+"""Where an effect at a place sits, fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from extend_example import recorded
+from mphygs.extend.steps import step_at, step_document, uncertainty
+from mphygs.fit.determined import information_of
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import covariance, minimise
+from mphygs.fit.places import (
+    located,
+    movable,
+    moved,
+    place_columns,
+    place_of,
+    places_document,
+    relocated,
+    with_places,
+)
+from mphygs.model.belief import Belief
+from mphygs.simulate.prediction import Settings
+
+SPACING = 0.005
+KEYS = ("part0.youngs_modulus",)
+MASS_AT, MIDDLE_OF_CELL = np.array([0.042, 0.013, 0.014]), np.array([0.0425, 0.0125, 0.0125])
+
+
+def with_mass(belief: Belief, place: np.ndarray, mass: float = 8e-3) -> Belief:
+    return belief.with_effect("attached_mass", {"m": mass}, {"place": np.asarray(place).tolist()})
+
+
+def with_tether(belief: Belief, place: np.ndarray) -> Belief:
+    values = {"k": 5.0, "anchor_x": 0.05, "anchor_y": 0.04, "anchor_z": 0.03}
+    return belief.with_effect("tether", values, {"place": np.asarray(place).tolist()})
+
+
+def scene(add: object = with_mass, frames: int = 16) -> tuple[Experiment, Belief]:
+    capture = bar_capture(frames=frames, fps=60.0, fit=(0, frames))
+    truth = add(bar_belief(capture, youngs_modulus=4e4, free=KEYS), MASS_AT)
+    return Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1)), truth
+
+
+@pytest.mark.parametrize("add", [with_mass, with_tether])
+def test_the_derivative_by_a_place_is_that_of_small_moves(add: object) -> None:
+    """From side to side of a cell and in its middle: much the same, but for what the grid has of its own."""
+    experiment, truth = scene(add, frames=8)
+    problem = experiment.problem(SPACING)
+    truth = moved(truth, truth.effects[0], MIDDLE_OF_CELL)
+    found = place_columns(problem, truth, truth.effects[0])
+    assert found.columns.shape[1] == 3 and not found.room.any()
+    for column, move in zip(found.columns.T, found.moves, strict=True):
+        ahead, back = (
+            problem.evaluate(
+                moved(truth, truth.effects[0], MIDDLE_OF_CELL + share * move), jacobian=False
+            ).residual
+            for share in (0.05, -0.05)
+        )
+        small = (ahead - back) / 0.1
+        assert np.linalg.norm(column) > 1.0
+        assert column @ small > 0.9 * np.linalg.norm(column) * np.linalg.norm(small)
+        assert np.linalg.norm(column) == pytest.approx(np.linalg.norm(small), rel=0.25)
+    assert not found.columns[problem.evaluate(truth).data_rows :].any()
+
+
+@pytest.mark.parametrize("add", [with_mass, with_tether])
+def test_a_place_is_found_from_two_cells_off(add: object) -> None:
+    experiment, truth = scene(add)
+    name = truth.effects[0]
+    problem = experiment.problem(SPACING)
+    start = minimise(problem, moved(truth, name, MASS_AT + [-0.01, -0.002, -0.002]), iterations=6)
+    assert start.evaluation.misfit > 2.0
+    said: list[str] = []
+    end = relocated(problem, start, relative_tolerance=1e-4, report=said.append)
+    assert end.evaluation.misfit < 1.1
+    assert np.linalg.norm(place_of(end.belief, name) - MASS_AT) < 2e-3
+    assert any(line.startswith(f"{name} moved to (") for line in said)
+    # At its minimum it stays where it is.
+    assert relocated(problem, end, relative_tolerance=1e-4).belief is end.belief
+
+
+def test_the_weight_of_a_known_load_stays_where_it_pulls() -> None:
+    _, truth = scene()
+    settings = {"place": MASS_AT.tolist(), "sequences": ["a"], "weight": False, "at_rest": False}
+    hung = truth.without_effect("attached_mass").with_effect("attached_mass", {"m": 0.1}, settings)
+    assert movable(truth) == ("attached_mass",) and movable(hung) == ()
+
+
+def test_a_thin_object_leaves_no_room_across() -> None:
+    capture = bar_capture(depth=0.001, frames=4, fit=(0, 4))
+    belief = with_mass(bar_belief(capture, free=KEYS), [0.04, 0.01, 0.0005])
+    experiment = Experiment.of(capture, Settings(SPACING, workers=1))
+    found = place_columns(experiment.problem(SPACING), belief, "attached_mass")
+    assert found.moves.shape == (2, 3) and not found.moves[:, 2].any()
+    assert found.room == pytest.approx([0.0, 0.0, 0.001])
+
+
+def test_uncertainty_is_that_of_a_fit_of_places_and_all_else() -> None:
+    """The Schur complement against the inverse of the whole."""
+    experiment, truth = scene()
+    problem = experiment.problem(SPACING)
+    evaluation = problem.evaluate(truth)
+    found = place_columns(problem, truth, "attached_mass")
+    rows = np.hstack([evaluation.jacobian, found.columns])
+    prior = np.r_[np.zeros(len(truth.free)), found.prior**-2.0]
+    whole = np.linalg.inv(rows.T @ rows + np.diag(prior))
+    p = len(truth.free)
+    alone = covariance(evaluation)
+    information = information_of(evaluation, p)
+    spread, less, places = with_places(problem, truth, evaluation, alone, information)
+    np.testing.assert_allclose(spread, whole[:p, :p], rtol=1e-6)
+    of_place = np.sqrt(np.diag(found.moves.T @ whole[p:, p:] @ found.moves))
+    np.testing.assert_allclose(places["attached_mass"], of_place, rtol=1e-6)
+    # Not knowing the place costs something; nothing that has no place does.
+    assert np.all(np.diag(spread) > np.diag(alone)) and less[0, 0] < information[0, 0]
+    bare = truth.without_effect("attached_mass")
+    bare_evaluation = problem.evaluate(bare)
+    same, _, none = with_places(problem, bare, bare_evaluation, alone[:1, :1], information[:1, :1])
+    assert same is not None and np.array_equal(same, alone[:1, :1]) and none == {}
+
+
+def test_a_step_tells_where_its_effect_sits() -> None:
+    experiment, truth = scene()
+    step = replace(step_at(experiment, truth, SPACING), added=("attached_mass",))
+    told = step_document(step, experiment, ())["parameters"]
+    stds = uncertainty(step, experiment).places["attached_mass"]
+    for axis, value, std in zip("xyz", MASS_AT, stds, strict=True):
+        entry = told[f"attached_mass.place_{axis}"]
+        assert entry == {"value": value, "std": pytest.approx(std), "unit": "m", "determined": True}
+        assert 0.0 < std < 0.01
+    # A place that was given, not found, has no uncertainty to tell.
+    assert places_document(truth) == {}
+    assert set(places_document(located(truth, {"attached_mass": np.ones(3)}))) == {
+        f"attached_mass.place_{axis}" for axis in "xyz"
+    }
