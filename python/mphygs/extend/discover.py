@@ -12,8 +12,9 @@ from mphygs.compare.noise import Observation
 from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Ranking, rank
+from mphygs.extend.anew import anew
 from mphygs.extend.grids import polished, probed, refined, with_budget
-from mphygs.extend.prune import anew, pruned
+from mphygs.extend.prune import pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refits import SCREENING_ACCURACY, refits_of

@@ -9,6 +9,7 @@ from dataclasses import replace
 from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import unabsorbed
+from mphygs.extend.anew import anew
 from mphygs.extend.finer import (
     LENDS,
     compared_again,
@@ -45,6 +46,9 @@ ITERATIONS, FIRST = 8, 3
 # What is left is not the grid's where it is so many times what a coarser grid shows of that, and above so
 # many sigma: less than that the floor test, which a rough share misleads, may excuse.
 BEYOND, CLEAR = 3.0, 1.5
+# A model that nearly explained the motion on a coarse grid, and on a finer one leaves so many times as much
+# and is not near the floor, has materials that were the coarse grid's.
+LEFT_BEHIND = 1.2
 # Share of the cost that the last step of what is concluded may promise.
 LAST_DIGITS = 1e-5
 
@@ -88,6 +92,12 @@ def onward(share: float, kind: str) -> list[float]:
         shares.append(1.0 if share > 0.8 else share)
         share = shares[-1]
     return shares
+
+
+def left_behind(coarse: Step, fine: Step) -> bool:
+    """Whether a model that did well on a coarse grid is far from its minimum on a finer one."""
+    there, here = coarse.solution.evaluation.misfit, fine.solution.evaluation.misfit
+    return bool(fine.added) and not sets_in(fine) and there < CLEAR < here and here > LEFT_BEHIND * there
 
 
 def on_grid(
@@ -302,7 +312,10 @@ def refined(
     if screening and tied and current.explained and current.spacing > 1.1 * default:
         spacing = default
     if spacing is not None:
-        current = on_grid(experiment, current, spacing, report) or current
+        moved = on_grid(experiment, current, spacing, report)
+        if moved is not None and left_behind(current, moved):
+            moved = anew(experiment, moved, report)
+        current = moved or current
     fine = not screening or current.spacing < 1.1 * default_spacing(experiment.capture)
     if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
         return current

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mphygs.extend.finer import compared_again, lender_of
+from mphygs.extend.anew import anew
+from mphygs.extend.finer import lender_of
 from mphygs.extend.grids import complete
 from mphygs.extend.step import NEGLIGIBLE, Step, does_alike
-from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import approached, minimise, told
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import find_scale
 from mphygs.simulate.errors import SimulationError
 
 # Of a fit without an effect; after the first few one that is far off is given up: whose excess over noise is
@@ -20,8 +19,6 @@ ITERATIONS, FIRST = 8, 2
 FAR, FAR_FROM_AFAR = 2.0, 4.0
 # An effect that lowers the excess to this share is needed: what is in the model has been paid for.
 NEEDED = 0.95
-# Of the frames, one after the other, on which materials begin anew.
-SHARES = (0.25, 0.5, 1.0)
 
 
 def pruned(
@@ -77,29 +74,3 @@ def _far(without: Evaluation, step: Evaluation, far: float) -> bool:
     many times what would do."""
     enough = max(step.misfit**2 - 1.0, 0.0) / NEEDED + NEGLIGIBLE
     return without.misfit**2 - 1.0 > far * enough
-
-
-def anew(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
-    """The step with its materials fitted from the start, where that lowers the cost.
-
-    Those that were fitted beside an effect which is gone may lie in a minimum that was its own.
-    """
-    say = report or (lambda _text: None)
-    try:
-        belief = find_scale(experiment.window(step.spacing, SHARES[0]), forget(step.belief))
-        for share in SHARES:
-            solution = minimise(
-                experiment.window(step.spacing, share), belief, iterations=ITERATIONS, relative_tolerance=1e-3
-            )
-            belief = solution.belief
-        gain = step.solution.evaluation.cost - solution.evaluation.cost
-        say(f"materials anew: cost {step.solution.evaluation.cost:.6g} -> {solution.evaluation.cost:.6g}")
-        if gain <= 0.0:
-            return step
-        compared = compared_again(experiment, step, belief)
-    except SimulationError:
-        return step
-    assessment = experiment.assess(compared)
-    after = step.refitted(solution, compared, assessment)
-    # A closer fit that predicts worse is none.
-    return after if after.explained >= step.explained else step
