@@ -17,6 +17,7 @@ from mphygs.extend.grids import polished, probed, refined, with_budget
 from mphygs.extend.prune import pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
+from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.refits import SCREENING_ACCURACY, refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
@@ -29,8 +30,6 @@ from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
 LARGEST_MODEL = 3
-# A misfit up to here [sigma] is the noise's and leaves nothing to gain.
-NOISE = 1.03
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.9
@@ -241,7 +240,7 @@ def discover(
     experiment.whole = ()
     if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
         steps[-1] = readmitted(experiment, steps[-1], report)
-    if steps[-1].added and NOISE < steps[-1].assessment.worst <= EXPLAINED:
+    if steps[-1].added and AT_FLOOR < steps[-1].assessment.worst <= EXPLAINED:
         # Near the floor, not at it: the materials may be where a model without the effect had drawn them.
         steps[-1] = anew(experiment, steps[-1], report)
     if steps[-1].explained:

@@ -21,12 +21,11 @@ from mphygs.extend.finer import (
 from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
-from mphygs.extend.window import forget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
 from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
-from mphygs.fit.schedule import default_spacing, find_scale, screening_spacing, simulable
+from mphygs.fit.schedule import default_spacing, find_scale, forget, screening_spacing, simulable
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError

@@ -13,6 +13,7 @@ from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.rank import Entry
 from mphygs.extend.setting_in import placed
+from mphygs.fit.anew import fitted_anew
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
 from mphygs.fit.places import relocated
@@ -30,6 +31,9 @@ NEARLY_ALL = 0.1
 STRENGTHS = (0.5, 1.0, 2.0)
 # Of the substep without the effect: no refit starts with less.
 SHORTEST_SUBSTEP = 0.3
+# A refit that leaves so much [sigma] is near the floor and not at it: its materials may be where a model
+# without the effect had drawn them.
+AT_FLOOR, NEAR_FLOOR = 1.03, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +203,8 @@ def finish_refit(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
             )
         solution = relocated(problem, solution, relative_tolerance=accuracy, report=report)
+        if entry.kind != "threshold" and AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR:
+            solution = fitted_anew(experiment, solution, spacing, report)
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
     except SimulationError:
         return None

@@ -21,11 +21,13 @@ ALIKE = 1.35
 
 
 def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The refit that explains most on all frames, and its rivals: those that explain nearly as much."""
+    """The refit that explains most on all frames, and its rivals: those that explain nearly as much, or all
+    but what a coarse grid may have of its own."""
     ordered = sorted(refits, key=lambda r: excess(r.assessment))
     best = ordered[0]
     limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
-    return best, [r for r in ordered[1:] if excess(r.assessment) < limit][:RIVALS]
+    near = [r for r in ordered[1:] if excess(r.assessment) < limit or r.assessment.worst <= EXPLAINED]
+    return best, near[:RIVALS]
 
 
 def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float) -> Step:
@@ -119,7 +121,7 @@ def settled(
     """
     tried = best.refits
     best, rivals = plainest(best, rivals)
-    tied_there = any(does_alike(r, best) for r in rivals)
+    tied_there = any(does_alike(r, best) or r.assessment.worst <= EXPLAINED for r in rivals)
     best = refined(experiment, [*steps, best], report, screening=screening, tied=tied_there)
     alike = []
     for rival in rivals:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import find_scale
+from mphygs.fit.schedule import find_scale, forget
 from mphygs.model.belief import Belief
 
 # Diagnosis looks at the first frames over which the misfit is between these [sigma].
@@ -23,16 +22,6 @@ SHORTER = (0.16, 0.1, 0.06)
 OWN = 2.0
 # Of the frames of other recordings, seen from the model that explains the simplest ones.
 SEEN = 0.16
-
-
-def forget(belief: Belief) -> Belief:
-    """The belief with its free materials back at the middle of their priors."""
-    parameters = []
-    for p in belief.parameters:
-        if p.free and p.log and np.isfinite(p.prior_std) and p.key.rsplit(".", 1)[0] in belief.parts:
-            p = replace(p, value=float(np.clip(np.exp(p.prior_mean), p.lower, p.upper)))
-        parameters.append(p)
-    return replace(belief, parameters=tuple(parameters))
 
 
 def _ratio(evaluation: Evaluation, explained: Sequence[str] = ()) -> float:

@@ -88,6 +88,16 @@ def plan_of(capture: Capture, spacing: float, *, warm: bool) -> tuple[Stage, ...
     return stages(spacing, warm=warm, coarsest=COARSEST * default_spacing(capture))
 
 
+def forget(belief: Belief) -> Belief:
+    """The belief with its free materials back at the middle of their priors."""
+    parameters = []
+    for p in belief.parameters:
+        if p.free and p.log and np.isfinite(p.prior_std) and p.key.rsplit(".", 1)[0] in belief.parts:
+            p = replace(p, value=float(np.clip(np.exp(p.prior_mean), p.lower, p.upper)))
+        parameters.append(p)
+    return replace(belief, parameters=tuple(parameters))
+
+
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
     """Move all free Young's moduli together to the factor that fits the first frames best."""
     keys = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]

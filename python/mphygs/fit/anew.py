@@ -1,0 +1,57 @@
+"""The materials of a model fitted from the start, where they may lie in a minimum that is not theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, minimise, told
+from mphygs.fit.schedule import find_scale, forget
+from mphygs.simulate.errors import SimulationError
+
+# Of the frames, one after the other, on which materials begin anew.
+SHARES, ITERATIONS = (0.25, 0.5, 1.0), 8
+# Of the cost of some of the frames, by which a fit from the start has to be better there to be followed on.
+BETTER = 2e-3
+
+
+def fitted_anew(
+    experiment: Experiment,
+    solution: Solution,
+    spacing: float,
+    report: Callable[[str], None] | None = None,
+) -> Solution:
+    """The fit, or the one with its materials from the start where that costs less.
+
+    Materials that were fitted beside an effect which is gone, without one that is there now, or on a grid
+    that hardly carries thin parts, may lie in a minimum that was its own. They begin on the first frames;
+    where they do no better than those of the fit on half of them, or cannot be simulated, the fit is kept.
+    """
+    try:
+        return _fitted_anew(experiment, solution, spacing, report)
+    except SimulationError:
+        return solution
+
+
+def _fitted_anew(
+    experiment: Experiment, solution: Solution, spacing: float, report: Callable[[str], None] | None
+) -> Solution:
+    say = report or (lambda _text: None)
+    belief = find_scale(experiment.window(spacing, SHARES[0]), forget(solution.belief))
+    for share in SHARES:
+        problem = experiment.window(spacing, share)
+        found = minimise(
+            problem,
+            belief,
+            iterations=ITERATIONS,
+            relative_tolerance=1e-3,
+            report=told(report, f"materials anew, {share:.0%} of the frames"),
+        )
+        belief = found.belief
+        if SHARES[0] < share < 1.0:
+            known = problem.evaluate(solution.belief, jacobian=False).cost
+            if found.evaluation.cost > (1.0 - BETTER) * known:
+                say(f"materials anew: no better on {share:.0%} of the frames")
+                return solution
+    say(f"materials anew: cost {solution.evaluation.cost:.6g} -> {found.evaluation.cost:.6g}")
+    return found if found.evaluation.cost < solution.evaluation.cost else solution
