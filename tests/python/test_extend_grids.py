@@ -102,6 +102,27 @@ def test_the_default_grid_is_asked_where_the_coarse_one_may_have_all_that_is_lef
     assert grids.next_spacing(scene()[0], [first, last]) == (default() if asked else None)
 
 
+@pytest.mark.parametrize(
+    ("own", "misfit", "added", "asked"),
+    [
+        (1.8, 2.0, (), True),
+        # less than is left: 1.73 sigma beyond noise
+        (1.7, 2.0, (), False),
+        # far off in the fitted frames as well
+        (9.0, 3.1, (), False),
+        (1.8, 2.0, ("viscosity",), False),
+    ],
+)
+def test_a_first_model_that_the_coarse_grid_may_have_bent_is_asked_again(
+    own: float, misfit: float, added: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Gross in unseen frames, not in those fitted."""
+    monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
+    step = step_of(assessment_of(misfit, 5.0), spacing=1.7 * default(), chi_square=100.0 * misfit**2)
+    found = grids.next_spacing(scene()[0], [step, replace(step, added=added)] if added else [step])
+    assert found == (default() if asked else None)
+
+
 def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grids, "unabsorbed", lambda *_: 0.0)
 

@@ -112,16 +112,24 @@ def test_uncertainty_is_that_of_a_fit_of_places_and_all_else() -> None:
     p = len(truth.free)
     alone = covariance(evaluation)
     information = information_of(evaluation, p)
-    spread, less, places = with_places(problem, truth, evaluation, alone, information)
+    change = np.random.default_rng(0).normal(size=evaluation.data_rows)
+    known = with_places(problem, truth, evaluation, alone, information, change)
+    spread, less = known.covariance, known.information
     np.testing.assert_allclose(spread, whole[:p, :p], rtol=1e-6)
-    of_place = np.sqrt(np.diag(found.moves.T @ whole[p:, p:] @ found.moves))
-    np.testing.assert_allclose(places["attached_mass"], of_place, rtol=1e-6)
+    by_grid = whole @ rows[: evaluation.data_rows].T @ change
+    np.testing.assert_allclose(known.shift, by_grid[:p], rtol=1e-6)
+    variance = np.diag(found.moves.T @ whole[p:, p:] @ found.moves)
+    of_place = np.sqrt(variance + (by_grid[p:] @ found.moves) ** 2)
+    np.testing.assert_allclose(known.std["attached_mass"], of_place, rtol=1e-6)
+    unknown = with_places(problem, truth, evaluation, alone, information)
+    np.testing.assert_allclose(unknown.std["attached_mass"], np.sqrt(variance), rtol=1e-6)
+    assert unknown.shift is None
     # Not knowing the place costs something; nothing that has no place does.
     assert np.all(np.diag(spread) > np.diag(alone)) and less[0, 0] < information[0, 0]
     bare = truth.without_effect("attached_mass")
     bare_evaluation = problem.evaluate(bare)
-    same, _, none = with_places(problem, bare, bare_evaluation, alone[:1, :1], information[:1, :1])
-    assert same is not None and np.array_equal(same, alone[:1, :1]) and none == {}
+    same = with_places(problem, bare, bare_evaluation, alone[:1, :1], information[:1, :1])
+    assert np.array_equal(same.covariance, alone[:1, :1]) and same.std == {}
 
 
 def test_a_step_tells_where_its_effect_sits() -> None:

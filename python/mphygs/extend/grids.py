@@ -65,6 +65,9 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     )
     if small or last.assessment.worst < GROSS:
         return default
+    if not last.added and last.solution.evaluation.misfit < GROSS:
+        # Near enough on the fitted frames, and far off on others: the grid's error bends the materials.
+        return default if grid_may_have(experiment, last) else None
     fell = last.added and excess(last.assessment, label) < LARGELY * excess(steps[-2].assessment, label)
     return default if fell and grid_may_have(experiment, last) else None
 

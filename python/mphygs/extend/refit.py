@@ -202,9 +202,10 @@ def finish_refit(
             solution = minimise(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
             )
-        solution = relocated(problem, solution, relative_tolerance=accuracy, report=report)
         if entry.kind != "threshold" and AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR:
             solution = fitted_anew(experiment, solution, spacing, report)
+        # Materials first: a place that makes up for theirs is hard to leave.
+        solution = relocated(problem, solution, relative_tolerance=accuracy, report=report)
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
     except SimulationError:
         return None

@@ -19,6 +19,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import errors_of
 from mphygs.fit.places import located, with_places
+from mphygs.fit.problem import Problem
 from mphygs.fit.run import Run
 from mphygs.fit.tables import parameters_document
 from mphygs.model.belief import Belief
@@ -117,15 +118,29 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     noise = covariance(evaluation)
     information = information_of(evaluation, len(step.belief.free))
     grid = experiment.problem(step.spacing if step.lender is None else step.lender)  # that of the Jacobian
-    noise, information, places = with_places(grid, step.belief, evaluation, noise, information)
+    change = _grid_change(step, grid)
+    known = with_places(grid, step.belief, evaluation, noise, information, change)
     columns = boundary_columns(experiment.capture.parts, step.belief.free)
-    spread, information = widened(noise, information, columns)
+    spread, information = widened(known.covariance, known.information, columns)
     if not step.explained:
         spread = spread + noise * (max(evaluation.misfit, 1.0) ** 2 - 1.0)
-    rows = evaluation.jacobian[evaluation.data_rows :]
-    shift = grid_shift(step.compared, rows.T @ rows)
+    shift = known.shift
+    if not known.std:
+        rows = evaluation.jacobian[evaluation.data_rows :]
+        shift = grid_shift(step.compared, rows.T @ rows)
     spread = spread if shift is None else spread + np.outer(shift, shift)
-    return Uncertainty(spread, information, places)
+    return Uncertainty(spread, information, known.std)
+
+
+def _grid_change(step: Step, grid: Problem) -> np.ndarray | None:
+    """(N,) what a refinement changes in the rows of the fitted frames, None where none is known."""
+    if not known_budget(step):
+        return None
+    pieces = []
+    for name, (first, last) in grid.ranges.items():
+        whitener = grid.observations[name].whitener(first, last)
+        pieces.append(whitener.whiten(np.nan_to_num(step.compared[name].refinement[first:last])))
+    return np.concatenate(pieces)
 
 
 def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:

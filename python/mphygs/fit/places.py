@@ -159,29 +159,56 @@ def _step(
     return None
 
 
-def with_places(
-    problem: Problem, belief: Belief, evaluation: Evaluation, noise: np.ndarray, information: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Covariance of the free coordinates and information of the measurements, (P, P) each, when the places of
-    effects are fitted too, and the standard deviation (3,) of each of these [m].
+@dataclass(frozen=True, eq=False)
+class KnownPlaces:
+    """What fitted places do to what is known of the P coordinates. covariance, information: as without,
+    (P, P); shift: (P,) of the coordinates by the grid's error, None where that is not known; std: (3,) of
+    each place by name [m], the grid's error included."""
 
-    noise, information: of the evaluation, as if the places were known. Raises SimulationError.
+    covariance: np.ndarray
+    information: np.ndarray
+    shift: np.ndarray | None
+    std: dict[str, np.ndarray]
+
+
+def with_places(
+    problem: Problem,
+    belief: Belief,
+    evaluation: Evaluation,
+    noise: np.ndarray,
+    information: np.ndarray,
+    change: np.ndarray | None = None,
+) -> KnownPlaces:
+    """How surely coordinates and places are known when both are fitted.
+
+    noise, information: covariance of the free coordinates and information of the measurements, (P, P) each,
+    of the evaluation as if the places were known; change: (N,) of its data rows by the grid's error,
+    whitened. Raises SimulationError.
     """
-    spread: dict[str, np.ndarray] = {}
-    for name in movable(belief):
-        found = place_columns(problem, belief, name)
-        rows = evaluation.jacobian[: evaluation.data_rows]
-        columns = found.columns[: evaluation.data_rows]
-        told = rows.T @ columns
-        own = columns.T @ columns + np.diag(found.prior**-2.0)
-        information = information - told @ np.linalg.solve(own, told.T)
-        # The coordinates' covariance with the places fitted: Schur complement of what is known without.
-        moved_by = noise @ told
-        of_place = np.linalg.inv(own - told.T @ moved_by)
-        noise = noise + moved_by @ of_place @ moved_by.T
-        variance = np.einsum("ka,kl,lb->ab", found.moves, of_place, found.moves).diagonal()
-        spread[name] = np.sqrt(variance + found.room**2 / 12.0)
-    return noise, information, spread
+    known = {name: place_columns(problem, belief, name) for name in movable(belief)}
+    data = slice(evaluation.data_rows)
+    rows = evaluation.jacobian[data]
+    columns = np.hstack([np.zeros((len(rows), 0)), *(found.columns[data] for found in known.values())])
+    told = rows.T @ columns
+    prior = np.concatenate([[], *(found.prior**-2.0 for found in known.values())])
+    own = columns.T @ columns + np.diag(prior)
+    # The coordinates' covariance with the places fitted: Schur complement of what is known without.
+    moved_by = noise @ told
+    of_place = np.linalg.inv(own - told.T @ moved_by)
+    covariance = noise + moved_by @ of_place @ moved_by.T
+    shift = moves = None
+    if change is not None:
+        # Least squares of the change by both: places give way first, coordinates to what is left of it.
+        moves = of_place @ (columns.T @ change - moved_by.T @ (rows.T @ change))
+        shift = noise @ (rows.T @ change) - moved_by @ moves
+    std, first = {}, 0
+    for name, found in known.items():
+        mine = slice(first, first + len(found.moves))
+        variance = np.einsum("ka,kl,lb->ab", found.moves, of_place[mine, mine], found.moves).diagonal()
+        by_grid = 0.0 if moves is None else (moves[mine] @ found.moves) ** 2
+        std[name] = np.sqrt(variance + by_grid + found.room**2 / 12.0)
+        first = mine.stop
+    return KnownPlaces(covariance, information - told @ np.linalg.solve(own, told.T), shift, std)
 
 
 def located(belief: Belief, spread: Mapping[str, np.ndarray]) -> Belief:
