@@ -141,7 +141,8 @@ def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyP
 def test_the_first_model_is_asked_again_as_well() -> None:
     only = step_of(assessment_of(2.0), spacing=1.7 * default())
     assert grids.next_spacing(scene()[0], [only]) == default()
-    assert grids.next_spacing(scene()[0], [replace(only, assessment=assessment_of(8.0))]) is None
+    gross = step_of(assessment_of(8.0), spacing=1.7 * default(), chi_square=6400.0)
+    assert grids.next_spacing(scene()[0], [gross]) is None
 
 
 # ---- another grid -----------------------------------------------------------------------------
