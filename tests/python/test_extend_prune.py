@@ -10,13 +10,16 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, assessment_of, excess_of, recorded
 from mphygs.extend import prune
+from mphygs.extend.anew import anew
 from mphygs.extend.discover import _conclude
-from mphygs.extend.prune import anew, pruned
+from mphygs.extend.prune import pruned
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at, step_document
+from mphygs.fit.anew import fitted_anew
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
 
 ETA, TILT = 20.0, 1.5
@@ -120,6 +123,24 @@ def test_materials_begin_anew_where_that_is_better() -> None:
     best = anew(experiment, found)
     assert best.solution.evaluation.cost <= found.solution.evaluation.cost
     assert best.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.01)
+
+
+def test_materials_that_do_no_better_on_half_of_the_frames_are_not_followed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    experiment, elastic = scene(0.0)
+    truth = elastic.with_effect("viscosity", {"eta": ETA})
+    best = anew(experiment, step_at(experiment, truth, SPACING, added=("viscosity",))).solution
+    said: list[str] = []
+    assert fitted_anew(experiment, best, SPACING, said.append) is best
+    assert said[-1] == "materials anew: no better on 50% of the frames"
+    assert not any("100%" in line for line in said)
+
+    def unstable(*_: object, **__: object) -> None:
+        raise SimulationError("too soft")
+
+    monkeypatch.setattr("mphygs.fit.anew.find_scale", unstable)
+    assert fitted_anew(experiment, best, SPACING) is best
 
 
 def test_a_closer_fit_that_predicts_worse_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,6 +181,35 @@ def test_a_refit_is_finished_and_judged_on_unseen_frames() -> None:
     assert finish(0.9 * after) is None
 
 
+@pytest.mark.parametrize(
+    ("kind", "misfit", "begun"),
+    [
+        ("smooth", 1.2, ["anew", "place"]),
+        # at the floor; far from it; what sets in
+        ("smooth", 1.02, ["place"]),
+        ("smooth", 1.6, ["place"]),
+        ("threshold", 1.2, ["place"]),
+    ],
+)
+def test_a_refit_near_the_floor_begins_anew_before_its_place_is_sought(
+    kind: str, misfit: float, begun: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment, before, entry, _ = scene()
+    done: list[str] = []
+    rows = before.evaluation.data_rows
+    residual = np.where(np.arange(len(before.evaluation.residual)) < rows, misfit, 0.0)
+    left = replace(before, evaluation=replace(before.evaluation, residual=residual), converged=True)
+    monkeypatch.setattr(refit, "minimise", lambda *_, **__: left)
+    monkeypatch.setattr(refit, "fitted_anew", lambda _e, found, *_: done.append("anew") or found)
+    monkeypatch.setattr(refit, "relocated", lambda _p, found, **_: done.append("place") or found)
+    compared = experiment.compare(before.belief, SPACING, jacobian=False)
+    entry = replace(entry, kind=kind)
+    finish_refit(
+        experiment, before, compared, entry, left, SPACING, generator=np.random.default_rng(0)
+    )
+    assert done == begun
+
+
 # ---- the gain on unseen frames ----------------------------------------------------------------
 def offset(compared: dict[str, Compared], seen: float, unseen: float) -> dict[str, Compared]:
     """The comparison with predictions off by these [m] in fitted frames and in the others."""

@@ -11,7 +11,8 @@ from mphygs.simulate.errors import SimulationError
 
 # Of the frames, one after the other, on which materials begin anew.
 SHARES, ITERATIONS = (0.25, 0.5, 1.0), 8
-# Of the cost of some of the frames, by which a fit from the start has to be better there to be followed on.
+# Of the cost of some of the frames, by which a fit from the start has to be better there to be followed on,
+# beyond what a fit to these alone gains by chance: half of one for each number that is fitted, and once more.
 BETTER = 2e-3
 
 
@@ -50,7 +51,7 @@ def _fitted_anew(
         belief = found.belief
         if SHARES[0] < share < 1.0:
             known = problem.evaluate(solution.belief, jacobian=False).cost
-            if found.evaluation.cost > (1.0 - BETTER) * known:
+            if found.evaluation.cost > (1.0 - BETTER) * known - len(belief.free):
                 say(f"materials anew: no better on {share:.0%} of the frames")
                 return solution
     say(f"materials anew: cost {solution.evaluation.cost:.6g} -> {found.evaluation.cost:.6g}")
