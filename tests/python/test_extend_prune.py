@@ -136,6 +136,13 @@ def test_materials_that_do_no_better_on_half_of_the_frames_are_not_followed(
     assert said[-1] == "materials anew: no better on 50% of the frames"
     assert not any("100%" in line for line in said)
 
+    # First frames that lead elsewhere are not followed either.
+    far = best.belief.with_parameter("part0.youngs_modulus", value=6e5)
+    with monkeypatch.context() as patch:
+        patch.setattr("mphygs.fit.anew.minimise", lambda *_, **__: replace(best, belief=far))
+        assert fitted_anew(experiment, best, SPACING, said.append) is best
+    assert said[-1] == "materials anew: astray on 50% of the frames"
+
     def unstable(*_: object, **__: object) -> None:
         raise SimulationError("too soft")
 

@@ -14,6 +14,8 @@ SHARES, ITERATIONS = (0.25, 0.5, 1.0), 8
 # Of the cost of some of the frames, by which a fit from the start has to be better there to be followed on,
 # beyond what a fit to these alone gains by chance: half of one for each number that is fitted, and once more.
 BETTER = 2e-3
+# Times that cost at their start: the first frames led to a minimum of their own.
+ASTRAY = 25.0
 
 
 def fitted_anew(
@@ -41,6 +43,12 @@ def _fitted_anew(
     belief = find_scale(experiment.window(spacing, SHARES[0]), forget(solution.belief))
     for share in SHARES:
         problem = experiment.window(spacing, share)
+        halfway = SHARES[0] < share < 1.0
+        if halfway:
+            known = problem.evaluate(solution.belief, jacobian=False).cost
+            if problem.evaluate(belief, jacobian=False).cost > ASTRAY * known:
+                say(f"materials anew: astray on {share:.0%} of the frames")
+                return solution
         found = minimise(
             problem,
             belief,
@@ -49,10 +57,8 @@ def _fitted_anew(
             report=told(report, f"materials anew, {share:.0%} of the frames"),
         )
         belief = found.belief
-        if SHARES[0] < share < 1.0:
-            known = problem.evaluate(solution.belief, jacobian=False).cost
-            if found.evaluation.cost > (1.0 - BETTER) * known - len(belief.free):
-                say(f"materials anew: no better on {share:.0%} of the frames")
-                return solution
+        if halfway and found.evaluation.cost > (1.0 - BETTER) * known - len(belief.free):
+            say(f"materials anew: no better on {share:.0%} of the frames")
+            return solution
     say(f"materials anew: cost {solution.evaluation.cost:.6g} -> {found.evaluation.cost:.6g}")
     return found if found.evaluation.cost < solution.evaluation.cost else solution
