@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.fit.levenberg_marquardt import Solution, minimise, told
-from mphygs.fit.problem import Problem
+from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import Settings
@@ -31,6 +31,11 @@ USUAL_ITERATIONS = 5
 # A rest shape that has to be solved for takes long where it is too soft: after so many factors in a row that
 # are worse than the best, softer ones are not tried.
 PATIENCE = 2
+# A model that leaves so many times as much when it comes to a finer grid, and so many sigma, is brought
+# onward there from its first frames: thin parts had other materials on the coarse one. Shares of the frames
+# and iterations.
+LOST, LOST_FROM = 2.0, 2.0
+ONWARD = ((0.25, 6), (0.5, 4))
 # Common factors on all Young's moduli that are tried before anything else.
 SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
 
@@ -146,6 +151,28 @@ def simulable(problem: Problem, belief: Belief) -> Belief:
     raise failure
 
 
+def _brought_onward(
+    problem: Problem, before: Problem, belief: Belief, tell: Callable[[int, Evaluation, Belief], None] | None
+) -> Belief:
+    """The belief fitted to the first frames, then to more of them, where it is lost on a problem's grid.
+
+    before: the same on the grid that it comes from, which is asked again: a fit that is resumed does not know
+    what it left there. Raises SimulationError.
+    """
+    here = problem.evaluate(belief, jacobian=False).misfit
+    if here < LOST_FROM:
+        return belief
+    there = before.with_ranges(problem.ranges).evaluate(belief, jacobian=False).misfit
+    if here < LOST * there:
+        return belief
+    for share, iterations in ONWARD:
+        found = minimise(
+            problem.narrowed(share), belief, iterations=iterations, report=tell, relative_tolerance=3e-3
+        )
+        belief = found.belief
+    return belief
+
+
 def _hopeless(solution: Solution) -> bool:
     """Whether a model is so far from the data that its numbers mean nothing."""
     return solution.evaluation.misfit > HOPELESS
@@ -175,13 +202,17 @@ def fit_belief(
     problems = {} if problems is None else problems
     solution = None
     earlier: tuple[Belief, ...] = ()
+
+    def on_grid(spacing: float) -> Problem:
+        if spacing not in problems:
+            own = replace(settings, spacing=spacing)
+            problems[spacing] = Problem(capture, own, ranges, observations)
+        return problems[spacing]
+
     for number, stage in enumerate(plan):
         if number < start_stage:
             continue
-        if stage.spacing not in problems:
-            own = replace(settings, spacing=stage.spacing)
-            problems[stage.spacing] = Problem(capture, own, ranges, observations)
-        problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
+        problem = on_grid(stage.spacing).with_ranges(ranges).narrowed(stage.share)
         if number == 0 and not warm:
             belief = find_scale(problem, belief, report)
 
@@ -191,6 +222,8 @@ def fit_belief(
             # What it became is of no use on another grid; the model before it is, and will be as wrong.
             belief, iterations = earlier[0], HOPELESS_ITERATIONS
         belief = simulable(problem, belief)
+        if number and stage.spacing < plan[number - 1].spacing:
+            belief = _brought_onward(problem, on_grid(plan[number - 1].spacing), belief, tell)
         solution = minimise(
             problem, belief, iterations=iterations, report=tell, relative_tolerance=stage.accuracy
         )

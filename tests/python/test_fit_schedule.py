@@ -1,0 +1,93 @@
+"""The order of a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from extend_example import recorded
+from mphygs.fit import schedule
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.schedule import Stage, fit_belief
+from mphygs.model.belief import Belief
+from mphygs.simulate.prediction import Settings
+
+FREE = ("part0.youngs_modulus",)
+
+
+@dataclass
+class Known:
+    """A problem whose misfit is known."""
+
+    misfit: float
+    ranges: dict[str, tuple[int, int]] = field(default_factory=lambda: {"a": (0, 30)})
+
+    def evaluate(self, _belief: Belief, *, jacobian: bool) -> SimpleNamespace:
+        assert not jacobian
+        return SimpleNamespace(misfit=self.misfit)
+
+    def with_ranges(self, ranges: dict[str, tuple[int, int]]) -> Known:
+        assert ranges == self.ranges
+        return self
+
+    def narrowed(self, share: float) -> float:
+        return share
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "lost"),
+    [
+        (10.0, 1.2, True),
+        # as far off on the grid before: the model lacks something
+        (10.0, 6.0, False),
+        # near enough for all frames at once
+        (1.9, 0.5, False),
+    ],
+)
+def test_a_model_that_is_lost_on_a_finer_grid_is_brought_onward(
+    here: float, there: float, lost: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    start, found = object(), object()
+
+    def minimise(share: float, belief: object, **_: object) -> SimpleNamespace:
+        asked.append(share)
+        assert belief is (start if share == 0.25 else found)
+        return SimpleNamespace(belief=found)
+
+    monkeypatch.setattr(schedule, "minimise", minimise)
+    after = schedule._brought_onward(Known(here), Known(there), start, None)
+    assert (after is found) is lost and asked == ([0.25, 0.5] if lost else [])
+
+
+def test_a_fit_asks_the_grid_before_wherever_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit that is resumed at its last stage gives the numbers of one that was not stopped."""
+    capture = bar_capture(frames=20, fps=100.0, fit=(0, 20))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=FREE)
+    capture = recorded(capture, truth, 0.008)
+    settings = Settings(0.008, workers=1)
+    experiment = Experiment.of(capture, settings)
+    experiment.problem(0.008)
+    plan = (Stage("coarse", 0.012, 1.0, 2, 1e-3), Stage("fine", 0.008, 1.0, 3, 1e-4))
+    # Every model counts as lost: that both ask is what is looked at.
+    monkeypatch.setattr(schedule, "LOST", 0.0)
+    monkeypatch.setattr(schedule, "LOST_FROM", 0.0)
+    kept: list[Belief] = []
+
+    def run(belief: Belief, first: int) -> tuple[Belief, list[str]]:
+        lines: list[str] = []
+        solution, _ = fit_belief(
+            capture, belief, experiment.fitted, experiment.observations, settings,
+            warm=True, plan=plan, start_stage=first, report=lines.append,
+            after_stage=lambda _stage, solution: kept.append(solution.belief),
+        )  # fmt: skip
+        return solution.belief, [line for line in lines if line.startswith("fine")]
+
+    start = truth.with_parameter(FREE[0], value=9e4)
+    whole, told = run(start, 0)
+    resumed, again = run(replace(kept[0]), 1)
+    assert sum("iteration 0" in line for line in told) == 3  # two stretches, then all frames
+    assert resumed[FREE[0]].value == whole[FREE[0]].value and again == told
