@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
 from mphygs.fit import schedule
+from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.run import Run, load_run
 from mphygs.fit.schedule import Stage, fit_belief
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
@@ -61,6 +64,36 @@ def test_a_model_that_is_lost_on_a_finer_grid_is_brought_onward(
     monkeypatch.setattr(schedule, "minimise", minimise)
     after = schedule._brought_onward(Known(here), Known(there), start, None)
     assert (after is found) is lost and asked == ([0.25, 0.5] if lost else [])
+
+
+def test_a_hopeless_fit_is_resumed_to_the_same_numbers(tmp_path: Path) -> None:
+    """Where a stage leaves far too much, the next begins from the one before it; resumed, it does so too."""
+    capture = bar_capture(frames=30, fps=60.0, fit=(0, 30))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=FREE)
+    tilted = truth.with_effect("gravity", {"delta_g_z": -2.0})
+    capture = recorded(capture, tilted, 0.008)
+    experiment = Experiment.of(capture, Settings(0.008, workers=1))
+    start = experiment.starting(truth)
+    kept: list[Run] = []
+
+    class Keeping(Run):
+        def save(self) -> None:
+            kept.append(self)
+
+    run = Keeping(
+        folder=tmp_path, options={}, seed=0, capture=tmp_path, digest="", settings=experiment.settings,
+        ranges=experiment.fitted, start=start, belief=start,
+    )  # fmt: skip
+    whole = fit_run(run, experiment)
+    assert len(whole.history) >= 3 and kept[-2].history[-1].misfit > schedule.HOPELESS
+    # It matters from where the last stage begins: without what came before it ends elsewhere.
+    before_last = kept[-2]
+    Run.save(before_last)
+    resumed = fit_run(load_run(tmp_path), experiment)
+    assert resumed.belief[FREE[0]].value == whole.belief[FREE[0]].value
+    assert resumed.history[-1].costs == whole.history[-1].costs
+    elsewhere = fit_run(replace(before_last, earlier=None), experiment)
+    assert elsewhere.history[-1].costs != whole.history[-1].costs
 
 
 def test_a_fit_asks_the_grid_before_wherever_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:

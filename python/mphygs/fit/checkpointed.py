@@ -73,6 +73,7 @@ def fit_run(
             solution.converged,
             solution.reason,
             now - begin,
+            float(solution.evaluation.misfit),
         )
         last = len(run.history) + 1 == len(plan)
         run = run.after(record, solution.belief)
@@ -88,11 +89,12 @@ def fit_run(
 
     _forget(experiment)
     minimiser: Callable[..., object] = fit_belief
+    newton = not paper and optimiser == "gauss-newton"
     if paper:
         from mphygs.fit.paper import fit_by_windows
 
         minimiser = fit_by_windows
-    elif optimiser != "gauss-newton":
+    elif not newton:
         # torch takes seconds to import, and Gauss-Newton does without it.
         from mphygs.fit.by_gradient import fit_by_gradient
 
@@ -104,6 +106,7 @@ def fit_run(
         experiment.observations,
         run.settings,
         **({} if paper else {"warm": warm}),
+        **({"before": (run.earlier, run.history[-1].misfit)} if newton and run.history else {}),
         report=report,
         after_stage=after_stage,
         start_stage=len(run.history),

@@ -27,7 +27,8 @@ DOCUMENT, NUMBERS = "run.json", "numbers.safetensors"
 
 @dataclass(frozen=True)
 class StageRecord:
-    """One finished stage of the schedule. costs: half the sum of squares after every iteration."""
+    """One finished stage of the schedule. costs: half the sum of squares after every iteration; misfit: root
+    mean square of what it left of the measurements [sigma]."""
 
     name: str
     spacing: float
@@ -35,6 +36,7 @@ class StageRecord:
     converged: bool
     reason: str
     seconds: float
+    misfit: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,8 +48,9 @@ class Run:
     settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
     covariance: (P, P) of the free coordinates, information: (P, P) what the measurements alone say of them,
     both None until the fit is complete; history: stages done;
-    start: the belief that the fit began with; left_out:
-    (frame, marker) by sequence of measurements taken as outliers; answer: JSON of the command, once complete.
+    start: the belief that the fit began with; earlier: that of the stage before the last one, if any;
+    left_out: (frame, marker) by sequence of measurements taken as outliers; answer: JSON of the command, once
+    complete.
     """
 
     folder: Path
@@ -66,6 +69,7 @@ class Run:
     left_out: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     answer: Mapping[str, object] | None = None
     stages: Path | None = None
+    earlier: Belief | None = None
 
     @property
     def transfer(self) -> str:
@@ -79,7 +83,8 @@ class Run:
 
     def after(self, record: StageRecord, belief: Belief) -> Run:
         """This run with one more stage done."""
-        return replace(self, belief=belief, history=(*self.history, record))
+        earlier = self.belief if self.history else None
+        return replace(self, belief=belief, earlier=earlier, history=(*self.history, record))
 
     def save(self) -> None:
         """Write the folder. Files are replaced as a whole: a write that is broken off leaves the last one."""
@@ -117,6 +122,7 @@ class Run:
             "ranges": {name: list(frames) for name, frames in self.ranges.items()},
             "start": document_of_belief(self.start),
             "belief": document_of_belief(self.belief),
+            "earlier": None if self.earlier is None else document_of_belief(self.earlier),
             "history": [asdict(record) for record in self.history],
             "left_out": plain_value(self.left_out),
             "answer": plain_value(self.answer),
@@ -222,6 +228,7 @@ def load_run(path: str | Path) -> Run:
             history=tuple(StageRecord(**{**r, "costs": tuple(r["costs"])}) for r in document["history"]),
             left_out={n: tuple((int(f), int(m)) for f, m in e) for n, e in document["left_out"].items()},
             answer=document["answer"],
+            earlier=belief_from_document(document["earlier"]) if document.get("earlier") else None,
         )
         complete = bool(document["complete"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:

@@ -173,11 +173,6 @@ def _brought_onward(
     return belief
 
 
-def _hopeless(solution: Solution) -> bool:
-    """Whether a model is so far from the data that its numbers mean nothing."""
-    return solution.evaluation.misfit > HOPELESS
-
-
 def fit_belief(
     capture: Capture,
     belief: Belief,
@@ -189,19 +184,21 @@ def fit_belief(
     report: Callable[[str], None] | None = None,
     after_stage: Callable[[Stage, Solution], None] | None = None,
     start_stage: int = 0,
+    before: tuple[Belief | None, float] = (None, 0.0),
     problems: dict[float, Problem] | None = None,
     plan: tuple[Stage, ...] | None = None,
 ) -> tuple[Solution, Problem]:
     """Run the schedule from a belief. Returns the last stage's solution and problem.
 
     ranges: frames to fit per sequence; settings.spacing is the fine spacing; warm: the belief is near its
-    minimum already; start_stage: first stage to run (resume); problems: cache by spacing, filled here;
-    plan: stages in place of the usual ones.
+    minimum already; start_stage: first stage to run (resume); before: the belief of the stage before the
+    last one that was run, if any, and the misfit that the last one left [sigma]; problems: cache by spacing,
+    filled here; plan: stages in place of the usual ones.
     """
     plan = plan_of(capture, settings.spacing, warm=warm) if plan is None else plan
     problems = {} if problems is None else problems
     solution = None
-    earlier: tuple[Belief, ...] = ()
+    (earlier, misfit), last = before, belief if start_stage else None
 
     def on_grid(spacing: float) -> Problem:
         if spacing not in problems:
@@ -218,9 +215,9 @@ def fit_belief(
 
         tell = told(report, f"{stage.name} ({1e3 * stage.spacing:.3g} mm)")
         iterations = stage.iterations
-        if solution is not None and len(earlier) > 1 and _hopeless(solution):
+        if earlier is not None and misfit > HOPELESS:
             # What it became is of no use on another grid; the model before it is, and will be as wrong.
-            belief, iterations = earlier[0], HOPELESS_ITERATIONS
+            belief, iterations = earlier, HOPELESS_ITERATIONS
         belief = simulable(problem, belief)
         if number and stage.spacing < plan[number - 1].spacing:
             belief = _brought_onward(problem, on_grid(plan[number - 1].spacing), belief, tell)
@@ -228,7 +225,7 @@ def fit_belief(
             problem, belief, iterations=iterations, report=tell, relative_tolerance=stage.accuracy
         )
         belief = solution.belief
-        earlier = (earlier + (belief,))[-2:]
+        earlier, last, misfit = last, belief, solution.evaluation.misfit
         problems[stage.spacing].predictors.update(problem.predictors)
         if after_stage:
             after_stage(stage, solution)
