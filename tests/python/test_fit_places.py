@@ -10,9 +10,10 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
 from mphygs.extend.steps import step_at, step_document, uncertainty
+from mphygs.fit import places
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import covariance, minimise
+from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise
 from mphygs.fit.places import (
     located,
     movable,
@@ -82,6 +83,31 @@ def test_a_place_is_found_from_two_cells_off(add: object) -> None:
     assert any(line.startswith(f"{name} moved to (") for line in said)
     # At its minimum it stays where it is.
     assert relocated(problem, end, relative_tolerance=1e-4).belief is end.belief
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_the_middle_of_the_material_around_is_tried_as_well(
+    better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment, truth = scene(frames=8)
+    problem = experiment.problem(SPACING)
+    corner = np.array([0.06, 0.02, 0.02])
+    start = moved(truth, "attached_mass", corner)
+    solution = Solution(start, problem.evaluate(start), (), True, "kept")
+    walked: list[np.ndarray] = []
+
+    def stay(_problem: object, found: Solution, name: str, *_: object) -> Solution:
+        walked.append(place_of(found.belief, name))
+        size = 0.5 if (len(walked) == 2) is better else 2.0
+        return replace(found, evaluation=replace(found.evaluation, residual=np.full(4, size)))
+
+    monkeypatch.setattr(places, "_walked", stay)
+    end = relocated(problem, solution)
+    first, second = walked
+    assert np.array_equal(first, corner)
+    # The middle of an eighth of a ball of three cells, along each axis: 3/8 of its radius.
+    assert corner - second == pytest.approx(np.full(3, 0.375 * 3.0 * SPACING), rel=0.25)
+    assert np.array_equal(place_of(end.belief, "attached_mass"), second if better else first)
 
 
 def test_the_weight_of_a_known_load_stays_where_it_pulls() -> None:
