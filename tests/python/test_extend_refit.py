@@ -187,7 +187,7 @@ def test_a_refit_is_finished_and_judged_on_unseen_frames() -> None:
         ("smooth", 1.2, ["anew", "place"]),
         # at the floor; far from it; what sets in
         ("smooth", 1.02, ["place"]),
-        ("smooth", 1.6, ["place"]),
+        ("smooth", 1.3, ["place"]),
         ("threshold", 1.2, ["place"]),
     ],
 )

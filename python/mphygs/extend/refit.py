@@ -33,7 +33,7 @@ STRENGTHS = (0.5, 1.0, 2.0)
 SHORTEST_SUBSTEP = 0.3
 # A refit that leaves so much [sigma] is near the floor and not at it: its materials may be where a model
 # without the effect had drawn them.
-AT_FLOOR, NEAR_FLOOR = 1.03, 1.5
+AT_FLOOR, NEAR_FLOOR = 1.03, 1.25
 
 
 @dataclass(frozen=True, eq=False)
