@@ -25,6 +25,7 @@ from mphygs.fit.places import (
     with_places,
 )
 from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
 
 SPACING = 0.005
@@ -169,6 +170,26 @@ def test_a_step_tells_where_its_effect_sits() -> None:
         assert 0.0 < std < 0.01
     # A place that was given, not found, has no uncertainty to tell.
     assert places_document(truth) == {}
-    assert set(places_document(located(truth, {"attached_mass": np.ones(3)}))) == {
-        f"attached_mass.place_{axis}" for axis in "xyz"
-    }
+    parts = experiment.capture.parts  # 6.6 cm long
+    unsure = located(truth, {"attached_mass": np.array([0.016, 0.017, 0.001])}, parts)
+    known = places_document(unsure)
+    assert [known[f"attached_mass.place_{axis}"]["determined"] for axis in "xyz"] == [True, False, True]
+    assert known["attached_mass.place_y"]["note"] == "anywhere on the object"
+    # Elsewhere it is not known any more.
+    assert places_document(moved(unsure, "attached_mass", MASS_AT)) == {}
+
+
+def test_a_place_beside_which_nothing_can_be_simulated_counts_as_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    experiment, truth = scene(frames=8)
+    problem = experiment.problem(SPACING)
+    evaluation = problem.evaluate(truth)
+
+    def unstable(*_: object, **__: object) -> None:
+        raise SimulationError("unstable")
+
+    monkeypatch.setattr(places, "place_columns", unstable)
+    alone, information = covariance(evaluation), information_of(evaluation, len(truth.free))
+    same = with_places(problem, truth, evaluation, alone, information)
+    assert np.array_equal(same.covariance, alone) and same.std == {}

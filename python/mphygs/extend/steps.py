@@ -18,7 +18,7 @@ from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import errors_of
-from mphygs.fit.places import located, with_places
+from mphygs.fit.places import located, movable, with_places
 from mphygs.fit.problem import Problem
 from mphygs.fit.run import Run
 from mphygs.fit.tables import parameters_document
@@ -118,7 +118,7 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     noise = covariance(evaluation)
     information = information_of(evaluation, len(step.belief.free))
     grid = experiment.problem(step.spacing if step.lender is None else step.lender)  # that of the Jacobian
-    change = _grid_change(step, grid)
+    change = _grid_change(step, grid) if movable(step.belief) else None
     known = with_places(grid, step.belief, evaluation, noise, information, change)
     columns = boundary_columns(experiment.capture.parts, step.belief.free)
     spread, information = widened(known.covariance, known.information, columns)
@@ -146,7 +146,7 @@ def _grid_change(step: Step, grid: Problem) -> np.ndarray | None:
 def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:
     """One step as JSON. before: everything that was in the model, or corrected for, before this step."""
     spread, information, places = uncertainty(step, experiment)
-    belief = located(step.belief, places)
+    belief = located(step.belief, places, experiment.capture.parts)
     # Corrections for faults that are not terms of the model are effects of the step all the same.
     kept = [name for name in before if name in belief.effects or name == "marker_outliers"]
     inside = dict.fromkeys(name for name in (*kept, *belief.effects, *step.added) if name not in step.dropped)
@@ -189,7 +189,7 @@ def run_at(
         options=options,
         settings=replace(run.settings, spacing=step.spacing),
         start=run.belief,
-        belief=located(step.belief, places),
+        belief=located(step.belief, places, experiment.capture.parts),
         covariance=spread,
         information=information,
         left_out=left_out_of(experiment),

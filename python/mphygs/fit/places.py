@@ -2,16 +2,19 @@
 
 A place is no number of a belief: it is a setting of its term, chosen from a few candidates. Between them the
 prediction changes smoothly; its derivative is taken from places half a cell to each side, in the material.
-How surely it is known is a setting as well ("place_std", (3,) [m]), of beliefs that are concluded from.
+How surely it is known is a setting as well ("place_std", (3,) [m], and "place_determined"), of beliefs that
+are concluded from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mphygs.capture.meshes import Part
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
@@ -26,6 +29,9 @@ SIDE, THIN = 0.5, 0.25
 LONGEST, ROUNDS, HALVINGS, WORTH = 4.0, 12, 3, 0.1
 # Cells around a place whose middle is tried as well.
 AROUND = 3.0
+# Settings of a place that was fitted; of the object's size, the standard deviation from which it is not
+# determined.
+CONCLUDED, ANYWHERE = ("place_std", "place_determined"), 0.25
 # Of any coordinate of the materials that gives way to the move.
 LONGEST_COORDINATE = 1.0
 
@@ -55,7 +61,8 @@ def place_of(belief: Belief, name: str) -> np.ndarray:
 
 def moved(belief: Belief, name: str, place: np.ndarray) -> Belief:
     """The belief with an effect at another place (3,) [m]."""
-    settings = {**belief.term(name).settings, "place": np.asarray(place, float).tolist()}
+    known = {k: v for k, v in belief.term(name).settings.items() if k not in CONCLUDED}
+    settings = {**known, "place": np.asarray(place, float).tolist()}
     terms = tuple(replace(t, settings=settings) if t.name == name else t for t in belief.terms)
     return replace(belief, terms=terms)
 
@@ -82,14 +89,14 @@ def place_columns(problem: Problem, belief: Belief, name: str) -> PlaceColumns:
     return PlaceColumns(
         np.stack(columns, axis=1) if columns else np.zeros((count, 0)),
         by,
-        _size(problem) / np.linalg.norm(by, axis=1),
+        _size(problem.capture.parts) / np.linalg.norm(by, axis=1),
         room,
     )
 
 
-def _size(problem: Problem) -> float:
+def _size(parts: Sequence[Part]) -> float:
     """Largest extent of the object [m]."""
-    vertices = np.concatenate([part.vertices for part in problem.capture.parts])
+    vertices = np.concatenate([part.vertices for part in parts])
     return float(np.ptp(vertices, axis=0).max())
 
 
@@ -219,9 +226,12 @@ def with_places(
 
     noise, information: covariance of the free coordinates and information of the measurements, (P, P) each,
     of the evaluation as if the places were known; change: (N,) of its data rows by the grid's error,
-    whitened. Raises SimulationError.
+    whitened. A place beside which the model cannot be simulated counts as known.
     """
-    known = {name: place_columns(problem, belief, name) for name in movable(belief)}
+    known = {}
+    for name in movable(belief):
+        with suppress(SimulationError):
+            known[name] = place_columns(problem, belief, name)
     data = slice(evaluation.data_rows)
     rows = evaluation.jacobian[data]
     columns = np.hstack([np.zeros((len(rows), 0)), *(found.columns[data] for found in known.values())])
@@ -247,23 +257,27 @@ def with_places(
     return KnownPlaces(covariance, information - told @ np.linalg.solve(own, told.T), shift, std)
 
 
-def located(belief: Belief, spread: Mapping[str, np.ndarray]) -> Belief:
+def located(belief: Belief, spread: Mapping[str, np.ndarray], parts: Sequence[Part]) -> Belief:
     """The belief with how surely the places of its effects are known, (3,) [m] each, among their settings."""
-    terms = tuple(
-        replace(t, settings={**t.settings, "place_std": np.asarray(spread[t.name], float).tolist()})
-        if t.name in spread
-        else t
-        for t in belief.terms
-    )
-    return replace(belief, terms=terms)
+    terms = []
+    for term in belief.terms:
+        if term.name in spread:
+            std = np.asarray(spread[term.name], float)
+            values = (std.tolist(), (std < ANYWHERE * _size(parts)).tolist())
+            term = replace(term, settings={**term.settings, **dict(zip(CONCLUDED, values, strict=True))})
+        terms.append(term)
+    return replace(belief, terms=tuple(terms))
 
 
 def places_document(belief: Belief) -> dict[str, dict[str, object]]:
     """Value, std, unit and whether it is determined, of each coordinate of each place that was fitted."""
     out: dict[str, dict[str, object]] = {}
     for term in belief.terms:
-        for axis, value, std in zip(
-            "xyz", term.settings.get("place", ()), term.settings.get("place_std", ()), strict=False
-        ):
-            out[f"{term.name}.place_{axis}"] = {"value": value, "std": std, "unit": "m", "determined": True}
+        if not set(CONCLUDED) <= set(term.settings):
+            continue
+        told = (term.settings[key] for key in ("place", *CONCLUDED))
+        for axis, value, std, determined in zip("xyz", *told, strict=True):
+            entry = {"value": value, "std": std, "unit": "m", "determined": determined}
+            note = {} if determined else {"note": "anywhere on the object"}
+            out[f"{term.name}.place_{axis}"] = entry | note
     return out
