@@ -152,24 +152,22 @@ def simulable(problem: Problem, belief: Belief) -> Belief:
 
 
 def _brought_onward(
-    problem: Problem, before: Problem, belief: Belief, tell: Callable[[int, Evaluation, Belief], None] | None
+    problem: Problem, belief: Belief, before: float, tell: Callable[[int, Evaluation, Belief], None] | None
 ) -> Belief:
     """The belief fitted to the first frames, then to more of them, where it is lost on a problem's grid.
 
-    before: the same on the grid that it comes from, which is asked again: a fit that is resumed does not know
-    what it left there. Raises SimulationError.
+    before: misfit that it left on the grid it comes from [sigma]. Raises SimulationError.
     """
-    here = problem.evaluate(belief, jacobian=False).misfit
-    if here < LOST_FROM:
+    if problem.evaluate(belief, jacobian=False).misfit < max(LOST * before, LOST_FROM):
         return belief
-    there = before.with_ranges(problem.ranges).evaluate(belief, jacobian=False).misfit
-    if here < LOST * there:
-        return belief
-    for share, iterations in ONWARD:
-        found = minimise(
-            problem.narrowed(share), belief, iterations=iterations, report=tell, relative_tolerance=3e-3
-        )
-        belief = found.belief
+    start = belief
+    try:
+        for share, iterations in ONWARD:
+            narrow = problem.narrowed(share)
+            found = minimise(narrow, belief, iterations=iterations, report=tell, relative_tolerance=3e-3)
+            belief = found.belief
+    except SimulationError:
+        return start
     return belief
 
 
@@ -199,17 +197,13 @@ def fit_belief(
     problems = {} if problems is None else problems
     solution = None
     (earlier, misfit), last = before, belief if start_stage else None
-
-    def on_grid(spacing: float) -> Problem:
-        if spacing not in problems:
-            own = replace(settings, spacing=spacing)
-            problems[spacing] = Problem(capture, own, ranges, observations)
-        return problems[spacing]
-
     for number, stage in enumerate(plan):
         if number < start_stage:
             continue
-        problem = on_grid(stage.spacing).with_ranges(ranges).narrowed(stage.share)
+        if stage.spacing not in problems:
+            own = replace(settings, spacing=stage.spacing)
+            problems[stage.spacing] = Problem(capture, own, ranges, observations)
+        problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
         if number == 0 and not warm:
             belief = find_scale(problem, belief, report)
 
@@ -220,7 +214,7 @@ def fit_belief(
             belief, iterations = earlier, HOPELESS_ITERATIONS
         belief = simulable(problem, belief)
         if number and stage.spacing < plan[number - 1].spacing:
-            belief = _brought_onward(problem, on_grid(plan[number - 1].spacing), belief, tell)
+            belief = _brought_onward(problem, belief, misfit, tell)
         solution = minimise(
             problem, belief, iterations=iterations, report=tell, relative_tolerance=stage.accuracy
         )
