@@ -52,11 +52,19 @@ def test_poses_between_frames_are_smooth_not_linear() -> None:
     assert np.allclose(rotation @ rotation.transpose(0, 2, 1), np.eye(3), atol=1e-14)
 
 
-def test_poses_outside_the_frames_keep_the_ends() -> None:
-    hold, _ = moving()
-    rotation, position = hold.poses(np.array([-3.0, 100.0]), 30.0)
-    assert np.allclose(position, hold.position[[0, -1]], atol=1e-15)
-    assert np.allclose(rotation, matrix_from_quaternion(hold.quaternion[[0, -1]]))
+def test_poses_outside_the_frames_keep_the_first_and_go_on_for_a_frame_after_the_last() -> None:
+    hold, time = moving()
+    rotation, position = hold.poses(np.array([-3.0]), 30.0)
+    assert np.allclose(position, hold.position[:1], atol=1e-15)
+    assert np.allclose(rotation, matrix_from_quaternion(hold.quaternion[:1]))
+    ends = time[-1] + np.array([0.0, 0.4, 1.0, 1.2, 3000.0]) / 30
+    rotation, position = hold.poses(ends, 30.0)
+    speed = 6 * np.cos(6 * time[-1]) * np.array([0.01, 0.02, 0.0])
+    after = hold.position[-1] + (np.array([0.0, 0.4, 1.0, 1.0, 1.0]) / 30)[:, None] * speed
+    assert np.allclose(position, after, atol=1e-5) and np.allclose(position[2:], position[2], atol=1e-15)
+    assert np.linalg.norm(position[2] - position[0]) > 1e-4
+    assert np.allclose(rotation @ rotation.transpose(0, 2, 1), np.eye(3), atol=1e-14)
+    assert np.allclose(rotation[2:], rotation[2])
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])

@@ -19,8 +19,13 @@ def forced() -> ForcedSequence:
     return ForcedSequence(Predictor(capture, capture.sequences[0], settings), 8)
 
 
-def test_gradient_and_tangent_follow_differences(forced: ForcedSequence) -> None:
+@pytest.mark.parametrize("faulty", [False, True], ids=["plain", "late, of another scale"])
+def test_gradient_and_tangent_follow_differences(forced: ForcedSequence, faulty: bool) -> None:
     belief = soft_belief(forced.predictor.capture, free=FREE)
+    if faulty:
+        belief = belief.with_effect("time_offset", {"offset": 0.4 / forced.predictor.recording.fps})
+        belief = belief.with_effect("length_scale", {"scale": 0.1})
+    axes = np.eye(len(belief.free))[[[p.key for p in belief.free].index(key) for key in FREE]]
     random = np.random.default_rng(0)
     shape = (8, forced.model(belief).node_count, 3)
     force, direction = 1e-3 * random.standard_normal((2, *shape))
@@ -35,7 +40,7 @@ def test_gradient_and_tangent_follow_differences(forced: ForcedSequence) -> None
         for step, at in ((1e-3, 0), (1e-5, 1), (1e-5, 2)):
             ends = []
             for sign in (1.0, -1.0):
-                moved = belief.at(belief.coordinates + sign * step * np.eye(2)[at - 1]) if at else belief
+                moved = belief.at(belief.coordinates + sign * step * axes[at - 1]) if at else belief
                 pushed = force + sign * step * direction if not at else force
                 ends.append(forced.run(moved, pushed).position)
             change = (ends[0] - ends[1]) / (2 * step)

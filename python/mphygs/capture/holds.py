@@ -35,7 +35,8 @@ class Hold:
         """Rotations R (n, 3, 3) and translations p (n, 3) [m] at times (n,) [s], frame k being at k / fps.
 
         A cubic spline (not-a-knot) goes through the positions, another componentwise through the quaternions
-        in one continuous choice of sign, renormalised. Outside the frames the end values are held.
+        in one continuous choice of sign, renormalised. Before the first frame its value is held; after the
+        last one both go on for one frame at the rate that they have there, and stay.
         """
         times = np.asarray(times, dtype=np.float64)
         if self.position is None or self.quaternion is None:
@@ -44,8 +45,10 @@ class Hold:
         if len(values) == 1:
             at = np.repeat(values, len(times), axis=0)
         else:
-            frame = np.clip(times * fps, 0, len(values) - 1)
-            at = CubicSpline(np.arange(len(values)), values)(frame)
+            spline = CubicSpline(np.arange(len(values)), values)
+            frame = np.clip(times * fps, 0, len(values))
+            inside = np.minimum(frame, len(values) - 1)
+            at = spline(inside) + (frame - inside)[:, None] * spline(len(values) - 1, 1)
         return matrix_from_quaternion(at[:, 3:]), at[:, :3]
 
 

@@ -54,7 +54,8 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     """The markers of a sequence; noise from markers that cannot move, else as stated.
 
     Markers cannot move before a release, or where they sit on what is held: there the hold's own motion
-    is taken off. Raises ValueError for a sequence without markers.
+    is taken off, and what a late clock, a wrong scale or a drifting frame shows there: these are faults to be
+    found, not noise. Raises ValueError for a sequence without markers.
     """
     markers = recording.markers
     if markers is None:
@@ -63,24 +64,24 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     if markers.spread is not None:
         return Observation(position, _noise_of_tracks(markers), np.ones(position.shape[1]))
     rest, what = None, ""
+    times = np.arange(recording.frames) / recording.fps
     if recording.release is not None and recording.release >= 20:
         # The last two frames may already move: the release is uncertain by that much.
         rest = position[: recording.release - 2]
-        rest = rest - np.nanmean(rest, axis=0)
+        mean = np.nanmean(rest, axis=0)
+        rest = without_faults(rest - mean, times[: len(rest)], np.broadcast_to(mean, rest.shape))
         what = "markers before the release"
     else:
         held = attachment.hold >= 0
         if held.any():
-            times = np.arange(recording.frames) / recording.fps
-            rest = np.full_like(position[:, held], np.nan)
+            true = np.full_like(position[:, held], np.nan)
             index = np.flatnonzero(held)
             for h, hold in enumerate(recording.held):
                 mine = attachment.hold[index] == h
                 rotation, shift = hold.poses(times, recording.fps)
                 at = (attachment.anchor + attachment.offset)[index[mine]]
-                rest[:, mine] = (
-                    position[:, index[mine]] - np.einsum("tij,mj->tmi", rotation, at) - shift[:, None]
-                )
+                true[:, mine] = np.einsum("tij,mj->tmi", rotation, at) + shift[:, None]
+            rest = without_faults(position[:, held] - true, times, true)
             what = "markers on what is held"
     sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
     if rest is None or rest.shape[1] == 0:
@@ -99,6 +100,32 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 scale_degrees=noise.scale_degrees,
             )
     return Observation(position, noise, np.ones(position.shape[1]))
+
+
+def without_faults(rest: np.ndarray, times: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """What is left of the residual of markers that cannot move when faults of the measurement are taken off.
+
+    rest: (T, M, 3) [m], NaN where missing; times: (T,) [s]; position: (T, M, 3) [m], where they truly are,
+    NaN where that is missing. The time offset, the length scale and the frame's drift (its velocity and its
+    turning) that fit it best are taken off together, by least squares.
+    """
+    axes = np.eye(3)
+    t = times[:, None, None]
+    at = np.nan_to_num(position)
+    columns = [at] + [np.broadcast_to(t * axis, at.shape) for axis in axes]
+    columns += [t * np.cross(axis, at) for axis in axes]
+    if len(times) > 2:
+        columns.append(np.gradient(at, times, axis=0, edge_order=2))
+    seen = np.isfinite(rest) & np.isfinite(position)
+    matrix = np.stack([column[seen] for column in columns], axis=1)
+    scale = np.linalg.norm(matrix, axis=0)
+    matrix = matrix[:, scale > 0] / scale[scale > 0]
+    if len(matrix) <= 2 * matrix.shape[1]:
+        return rest
+    shares = np.linalg.lstsq(matrix, rest[seen], rcond=1e-6)[0]
+    left = rest.copy()
+    left[seen] -= matrix @ shares
+    return left
 
 
 def _noise_of_tracks(markers: Markers) -> NoiseModel:

@@ -98,6 +98,13 @@ class Carriers:
             out[shown, index] += np.einsum("tmij,mj->tmi", turned, self._turning_offset)
         return out
 
+    def observe_rate(self, change: tuple, timeline: Timeline) -> np.ndarray:
+        """Derivative of the marker velocities, (T, M, 3), for that of the states."""
+        out = np.zeros((len(timeline.frames), *self.attachment.anchor.shape))
+        dv = np.asarray(change[1], float)[timeline.skipped :]
+        out[timeline.shown, self.free] = np.einsum("mk,tmkc->tmc", self.value, dv[:, self.index])
+        return out
+
     def observe_adjoint(
         self,
         states: tuple | None,

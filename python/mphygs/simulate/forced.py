@@ -55,7 +55,11 @@ class ForcedSequence:
 
     def timeline(self, belief: Belief) -> Timeline:
         """Frames and substeps at a belief."""
-        return self.predictor.timeline(belief, self.last, self.predictor.stable_substep(belief))
+        return self.predictor.run_timeline(belief, self.last, self.predictor.stable_substep(belief))
+
+    def acting(self, timeline: Timeline) -> np.ndarray:
+        """(F,) row of the force in each interval of a run; the last one goes on after the frames shown."""
+        return np.minimum(timeline.moving, self.last - 1)
 
     @property
     def _release_key(self) -> str:
@@ -66,13 +70,13 @@ class ForcedSequence:
         predictor, model = self.predictor, self.model(belief)
         timeline = self.timeline(belief)
         fields = predictor.inputs(belief, timeline)
-        fields["node_force"] = force[timeline.moving] + fields.get("node_force", 0.0)
+        fields["node_force"] = force[self.acting(timeline)] + fields.get("node_force", 0.0)
         hook = predictor._hook(belief, fields)
         u, v = (np.asarray(a, float) for a in model.simulate(fields, timeline.schedule, None, hook))
         position, velocity = predictor.carriers.observe((u, v), timeline, predictor.recording)
         times = timeline.frames / predictor.recording.fps
         none = np.zeros((*position.shape, 0))
-        position, *_ = measured(belief, [], times, position, velocity, none)
+        position, *_ = measured(belief, [], times, self.last, position, velocity, none)
         return ForcedMotion(belief, timeline, force, fields, u, v, position)
 
     def gradient(
@@ -104,7 +108,8 @@ class ForcedSequence:
                 slope += hook.slope(parameter, change.get("mass"))
             slopes.append(slope)
         force_bar = np.zeros(motion.force.shape)
-        force_bar[timeline.moving] = found["node_force"].reshape(-1, *motion.force.shape[1:])
+        found_bar = found["node_force"].reshape(-1, *motion.force.shape[1:])
+        np.add.at(force_bar, self.acting(timeline), found_bar)
         return force_bar, np.array(slopes)
 
     def tangents(
@@ -118,23 +123,25 @@ class ForcedSequence:
         # The parameters come first: effects in Python look theirs up by place.
         directions = [*predictor.changes(belief, simulated, timeline)]
         hook = predictor._hook(belief, motion.fields, simulated, directions)
-        directions += [{"node_force": force[timeline.moving]} for force in forces]
-        out = np.zeros((*motion.position.shape, len(forces) + len(keys)))
+        directions += [{"node_force": force[self.acting(timeline)]} for force in forces]
         value = (motion.displacement, motion.velocity)
-        slots = [len(forces) + k for k, (_, p) in enumerate(wanted) if acts_in_simulation(p)]
-        slots += range(len(forces))
+        carriers = predictor.carriers
+        seen = carriers.observe(value, timeline, predictor.recording)
+        changes = np.zeros((2, *seen[0].shape, len(keys) + len(forces)))
+        slots = [k for k, (_, p) in enumerate(wanted) if acts_in_simulation(p)]
+        slots += range(len(keys), len(keys) + len(forces))
         if directions:
             model = self.model(belief)
             _, *found = model.tangent(motion.fields, directions, timeline.schedule, None, hook)
             for slot, one in zip(slots, found, strict=True):
-                out[..., slot] = predictor.carriers.observe_tangent(value, one, timeline)
+                changes[0, ..., slot] = carriers.observe_tangent(value, one, timeline)
+                changes[1, ..., slot] = carriers.observe_rate(one, timeline)
         times = timeline.frames / predictor.recording.fps
-        seen = predictor.carriers.observe(value, timeline, predictor.recording)
-        *_, out[..., len(forces) :] = measured(belief, wanted, times, *seen, out[..., len(forces) :])
+        *_, out = measured(belief, wanted, times, self.last, *seen, *changes)
         for slot, key in enumerate(keys):
             if key == self._release_key:
-                out[..., len(forces) + slot] = self._release_slope(motion)
-        return out
+                out[..., slot] = self._release_slope(motion)
+        return np.roll(out, len(forces), axis=-1)
 
     def _release_slope(self, motion: ForcedMotion) -> np.ndarray:
         """By a difference: the release moves the start, which the core does not differentiate."""

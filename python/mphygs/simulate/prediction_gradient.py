@@ -36,7 +36,7 @@ def predict_with_gradient(
     bar = loss_slope(prediction.position)
     gradient = dict(zip(others, np.einsum("tmc,tmck->k", bar, prediction.jacobian), strict=True))
     if simulated:
-        timeline = predictor.timeline(belief, last, substep, start)
+        timeline = predictor.run_timeline(belief, last, substep, start)
         times = timeline.frames / predictor.recording.fps
         bars = before_measurement(belief, times, bar)
         slopes = _through_simulation(predictor, belief, simulated, timeline, start, *bars)

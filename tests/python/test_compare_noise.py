@@ -1,0 +1,83 @@
+"""Noise learned from markers that cannot move, where the measurement is at fault."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from force_example import FPS, shaken_bar
+from mphygs.compare.noise import observe, without_faults
+from mphygs.simulate.prediction import Predictor, Settings
+
+FRAMES, SIGMA = 60, 5e-5
+DRIFT = {"velocity": np.array([1e-3, -5e-4, 2e-4]), "turning": np.array([0.0, 0.02, 0.01])}
+
+
+def seen(hold: str, faults: tuple[str, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """True positions of markers that follow a shaken hold or rest, and what is seen of them without noise."""
+    random = np.random.default_rng(1)
+    times = np.arange(FRAMES) / FPS
+    rest = random.uniform(size=(15, 3)) * [0.02, 0.05, 0.05]
+
+    def at(t: np.ndarray) -> np.ndarray:
+        moved = 0.012 * np.sin(2 * np.pi * 1.5 * t)[:, None] * [0.0, 1.0, 0.4]
+        return rest + (moved[:, None] if hold == "shaken" else np.zeros((len(t), 1, 3)))
+
+    position = at(times + 0.003) if "late" in faults else at(times)
+    if "drifting" in faults:
+        turned = np.cross(DRIFT["turning"], position)
+        position = position + times[:, None, None] * (DRIFT["velocity"] + turned)
+    if "longer" in faults:
+        position = position * 1.02
+    return at(times), position
+
+
+@pytest.mark.parametrize("faults", [("late",), ("drifting",), ("longer",), ("late", "longer", "drifting")])
+@pytest.mark.parametrize("hold", ["shaken", "at rest"])
+def test_faults_leave_nothing_on_markers_that_cannot_move(hold: str, faults: tuple[str, ...]) -> None:
+    true, shown = seen(hold, faults)
+    times = np.arange(FRAMES) / FPS
+    left = without_faults(shown - true, times, true)
+    before = np.abs(shown - true).max()
+    if hold == "at rest" and faults == ("late",):
+        assert before == 0.0 and not left.any()
+    else:
+        assert before > 3e-4 and np.abs(left).max() < 0.03 * before
+
+
+def test_noise_stays_but_for_the_faults_own_numbers() -> None:
+    true, _ = seen("shaken")
+    noise = SIGMA * np.random.default_rng(2).standard_normal(true.shape)
+    noise[5:9, 3] = np.nan
+    left = without_faults(noise, np.arange(FRAMES) / FPS, true)
+    assert (np.isnan(left) == np.isnan(noise)).all()
+    kept = np.nansum(left**2) / np.nansum(noise**2)
+    count = np.isfinite(noise).sum()
+    assert 1.0 - 30 / count < kept < 1.0
+    few = without_faults(noise[:2, :2], np.arange(2) / FPS, true[:2, :2])
+    np.testing.assert_array_equal(few, noise[:2, :2], "too few numbers to tell faults from noise")
+
+
+@pytest.mark.parametrize("faults", [("late",), ("drifting",), ("longer",)])
+def test_a_fault_is_not_learned_as_noise(faults: tuple[str, ...]) -> None:
+    capture = shaken_bar(FRAMES)
+    recording = capture.sequences[0]
+    held = np.random.default_rng(4).uniform(size=(15, 3)) * [0.0, 0.015, 0.015]
+    recording = replace(recording, markers=replace(recording.markers, at=held))
+    predictor = Predictor(capture, recording, Settings(0.015, workers=1))
+    times = np.arange(FRAMES) / FPS
+    rotation, shift = recording.held[0].poses(times + (0.004 if "late" in faults else 0.0), FPS)
+    at = recording.markers.at
+    position = np.einsum("tij,mj->tmi", rotation, at) + shift[:, None]
+    if "drifting" in faults:
+        turned = np.cross(DRIFT["turning"], position)
+        position = position + times[:, None, None] * (DRIFT["velocity"] + turned)
+    if "longer" in faults:
+        position = position * 1.02
+    sigma = recording.markers.sigma
+    position = position + sigma * np.random.default_rng(3).standard_normal(position.shape)
+    markers = replace(recording.markers, position=position)
+    noise = observe(replace(recording, markers=markers), predictor.attachment).noise
+    assert "markers on what is held" in noise.source and "white" in noise.source
+    assert not noise.common_sigma.any() and not noise.correlated_share.any()
+    np.testing.assert_allclose(noise.sigma, sigma)
