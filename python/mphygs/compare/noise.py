@@ -115,7 +115,9 @@ def without_faults(rest: np.ndarray, times: np.ndarray, position: np.ndarray) ->
     columns = [at] + [np.broadcast_to(t * axis, at.shape) for axis in axes]
     columns += [t * np.cross(axis, at) for axis in axes]
     if len(times) > 2:
-        columns.append(np.gradient(at, times, axis=0, edge_order=2))
+        # A clock that is late by tau shows tau v + tau^2 a / 2.
+        speed = np.gradient(at, times, axis=0, edge_order=2)
+        columns += [speed, np.gradient(speed, times, axis=0, edge_order=2)]
     seen = np.isfinite(rest) & np.isfinite(position)
     matrix = np.stack([column[seen] for column in columns], axis=1)
     scale = np.linalg.norm(matrix, axis=0)
