@@ -13,6 +13,7 @@ from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Ranking, rank
 from mphygs.extend.anew import anew
+from mphygs.extend.exchange import exchanged
 from mphygs.extend.grids import polished, probed, refined, with_budget
 from mphygs.extend.prune import pruned
 from mphygs.extend.readmit import FAULT, readmitted
@@ -29,7 +30,8 @@ from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-LARGEST_MODEL = 3
+# Effects in a model; steps of the loop, exchanges included.
+LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.9
@@ -238,6 +240,12 @@ def discover(
         done(step)
         without_bad_tracks()
     experiment.whole = ()
+    while len(steps) < LONGEST:
+        generator = np.random.default_rng((seed, len(steps)))
+        step = exchanged(experiment, steps, coarse, generator, names=names, report=report)
+        if step is None:
+            break
+        done(judged(step))
     if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
         steps[-1] = readmitted(experiment, steps[-1], report)
     if steps[-1].added and AT_FLOOR < steps[-1].assessment.worst <= EXPLAINED:

@@ -123,6 +123,13 @@ def settled(
     best, rivals = plainest(best, rivals)
     tied_there = any(does_alike(r, best) or r.assessment.worst <= EXPLAINED for r in rivals)
     best = refined(experiment, [*steps, best], report, screening=screening, tied=tied_there)
+    return replace(among(experiment, best, rivals, report), refits=tried)
+
+
+def among(
+    experiment: Experiment, best: Step, rivals: Sequence[Step], report: Callable[[str], None] | None
+) -> Step:
+    """The better of a step and its rivals on the step's grid, with those that do alike as its ties."""
     alike = []
     for rival in rivals:
         if rival.spacing != best.spacing:
@@ -139,5 +146,5 @@ def settled(
         best, alike = alike[0], [best, *alike[1:]]
     tied = [best, *(r for r in alike if does_alike(r, best))]
     tied.sort(key=_order)
-    chosen = replace(tied[0], refits=tried, ties=tuple(r.added[0] for r in tied[1:]))
+    chosen = replace(tied[0], ties=tuple(r.added[0] for r in tied[1:]))
     return complete(experiment, chosen)
