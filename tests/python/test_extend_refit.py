@@ -15,7 +15,7 @@ from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.autoregression import Autoregression
 from mphygs.diagnose.held_out import GainInterval
-from mphygs.diagnose.rank import Entry
+from mphygs.diagnose.rank import Entry, rank
 from mphygs.extend import refit
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
 from mphygs.fit import levenberg_marquardt
@@ -131,6 +131,40 @@ def test_a_refit_finds_its_effect() -> None:
     assert "with viscosity" in said[0]
     # Strengths that cannot be negative are fitted in their logarithm.
     assert solution.belief["viscosity.eta"].log and not entry.start["viscosity.eta"].log
+
+
+@cache
+def heavier_towards_the_tip() -> tuple[Experiment, Solution, Entry]:
+    """A bar whose density grows along it, the plain model fitted to it, and what the ranking says."""
+    capture = bar_capture(frames=40, fps=100.0, fit=(0, 40))
+    plain = bar_belief(capture, youngs_modulus=6e4, free=FREE)
+    along = {"part": "part0", "axis": [1.0, 0.0, 0.0]}
+    capture = recorded(capture, plain.with_effect("density_gradient", {"slope": 15.0}, along))
+    experiment = Experiment.of(capture, Settings(SPACING, workers=1))
+    before = minimise(experiment.problem(SPACING), plain)
+    ranking = rank(
+        experiment, before.belief, before.evaluation, SPACING,
+        generator=np.random.default_rng(0), names=("density_gradient",),
+    )  # fmt: skip
+    return experiment, before, ranking.entries[0]
+
+
+def test_a_gradient_s_axis_is_sought_among_those_of_its_part() -> None:
+    experiment, before, entry = heavier_towards_the_tip()
+    assert len(entry.others) == 3
+    axes = np.array([start.term("density_gradient").settings["axis"] for start in entry.others])
+    np.testing.assert_allclose(np.abs(axes @ axes.T), np.eye(3), atol=1e-12)
+    # The linear prediction goes across the bar: the data then decide.
+    astray = np.array([0.05, 0.06, -1.0]) / np.linalg.norm([0.05, 0.06, -1.0])
+    settings = {"part": "part0", "axis": astray.tolist()}
+    wrong = before.belief.with_effect("density_gradient", {"slope": 100.0}, settings)
+    entry = replace(entry, start=wrong)
+    found = start_refit(experiment, before, entry, SPACING)
+    axis = np.array(found.belief.term("density_gradient").settings["axis"])
+    slope = found.belief["density_gradient.slope"].value * axis
+    np.testing.assert_allclose(slope, [15.0, 0.0, 0.0], atol=1.0)
+    alone = start_refit(experiment, before, replace(entry, others=()), SPACING)
+    assert alone.evaluation.chi_square > 1.5 * found.evaluation.chi_square
 
 
 def test_a_hopeless_refit_ends_after_its_first_iteration(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mphygs.diagnose.score_table import Score
 from mphygs.diagnose.trials_of import hung_label
 from mphygs.fit.start import with_effect
 from mphygs.model.belief import Belief, Parameter
@@ -16,6 +17,7 @@ from mphygs.simulate.settings import impossible_effects
 
 # Relaxation times [s] whose tangents are tried; the refit moves on from the best.
 RELAXATION_TIMES = (0.02, 0.1, 0.5)
+GRADIENTS = ("stiffness_gradient", "density_gradient")
 PLACES = 8
 TETHER_PLACES = 3
 
@@ -83,8 +85,20 @@ def mass_way(belief: Belief, place: np.ndarray, digits: int = 3) -> Way:
 
 def principal_axis(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """(3,) direction of the largest spread of weighted points."""
+    return _principal_axes(points, weights)[:, -1]
+
+
+def _principal_axes(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(3, 3) principal axes as columns, that of the largest spread last."""
     centred = points - np.average(points, axis=0, weights=weights)
-    return np.linalg.eigh(np.einsum("n,ni,nj->ij", weights, centred, centred))[1][:, -1]
+    return np.linalg.eigh(np.einsum("n,ni,nj->ij", weights, centred, centred))[1]
+
+
+def part_axes(body: Body, number: int) -> list[list[float]]:
+    """(3, 3) principal axes of a part, as columns."""
+    own = body.quadrature.part == number
+    points, volumes = body.quadrature.points[own], body.quadrature.volumes[own]
+    return _principal_axes(points.reshape(-1, 3), volumes.ravel()).tolist()
 
 
 def smooth_ways(
@@ -164,16 +178,15 @@ def smooth_ways(
                     {},
                 )
             )
-    for name in ("stiffness_gradient", "density_gradient"):
+    for name in GRADIENTS:
         if name in wanted:
-            for part in body.part_names:
+            for number, part in enumerate(body.part_names):
                 columns = []
                 for k in range(3):
                     settings = {"part": part, "axis": np.eye(3)[k].tolist()}
                     columns += _way(belief, name, "", ["slope"], settings=settings).columns
-                ways.append(
-                    Way(name, f"{name} of {part}", tuple(columns), np.zeros(3, bool), {"part": part}, {})
-                )
+                settings = {"part": part, "axes": part_axes(body, number)}
+                ways.append(Way(name, f"{name} of {part}", tuple(columns), np.zeros(3, bool), settings, {}))
     for name in ("time_offset", "length_scale", "frame_drift"):
         if name in wanted:
             ways.append(_way(belief, name, name, [p.name for p in effects()[name].fitted]))
@@ -207,6 +220,30 @@ def base_motion_ways(belief: Belief, frequencies: Sequence[float]) -> list[Way]:
     return ways
 
 
+def other_starts(way: Way, score: Score, belief: Belief) -> tuple[Belief, ...]:
+    """Further beliefs for a refit to start from: a gradient along each principal axis of its part alone.
+
+    Across a thin part a slope of any size changes little but the linear prediction, and may lead it astray.
+    """
+    if way.effect not in GRADIENTS:
+        return ()
+    starts = []
+    for axis in np.asarray(way.settings["axes"]).T:
+        known = float(axis @ score.information @ axis)
+        if known > 0.0:
+            starts.append(_with_gradient(way, float(axis @ score.score) / known * axis, belief))
+    return tuple(starts)
+
+
+def _with_gradient(way: Way, slope: np.ndarray, belief: Belief) -> Belief:
+    """slope: (3,) of the logarithm [1/m]; its length at most as the registry allows."""
+    length = float(np.linalg.norm(slope))
+    axis = slope / length if length > 0 else np.eye(3)[0]
+    length = min(length, effects()[way.effect].parameters[0].upper)
+    settings = {"part": way.settings["part"], "axis": axis.tolist()}
+    return belief.with_effect(way.effect, {"slope": length}, settings)
+
+
 def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
     """The belief with a way's effect at the score's estimate, ready for a refit."""
     name = way.effect
@@ -224,12 +261,8 @@ def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
         for a in "xyz":
             extended = extended.with_parameter(f"tether.anchor_{a}", free=True, scale=size)
         return extended
-    if name in ("stiffness_gradient", "density_gradient"):
-        slope = float(min(np.linalg.norm(estimate), effects()[name].parameters[0].upper))
-        axis = estimate / slope if slope > 0 else np.eye(3)[0]
-        return belief.with_effect(
-            name, {"slope": slope}, {"part": way.settings["part"], "axis": axis.tolist()}
-        )
+    if name in GRADIENTS:
+        return _with_gradient(way, estimate, belief)
     if name == "base_motion":
         sine, cosine = estimate[:3], estimate[3:]
         # One phase for all axes: that of the largest amplitude.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
-from mphygs.diagnose.candidates import Way, base_motion_ways, smooth_ways, starting_effect
+from mphygs.diagnose.candidates import Way, base_motion_ways, other_starts, smooth_ways, starting_effect
 from mphygs.diagnose.contact_search import search, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
@@ -41,8 +41,8 @@ TRIAL_WINS = 0.2
 class Entry:
     """One effect in its best way.
 
-    start: belief to refit from; statistic: predicted (trial: actual) drop of chi^2; stands_out: share of
-    decoys at least as significant.
+    start: belief to refit from; others: beliefs that a refit starts from as well; statistic: predicted
+    (trial: actual) drop of chi^2; stands_out: share of decoys at least as significant.
     """
 
     effect: str
@@ -58,6 +58,7 @@ class Entry:
     reason: str = ""
     detectable: float | None = None
     stands_out: float | None = None
+    others: tuple[Belief, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,6 +282,7 @@ def _entry(
         starting_effect(way, estimate, belief),
         tuple(sorted(tied)),
         detectable=float(detectable_length(score, level=0.01, family=len(table.scores))),
+        others=other_starts(way, score, belief),
     )
 
 

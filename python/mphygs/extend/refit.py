@@ -84,10 +84,10 @@ class Refit:
         return not 0.5 <= self.actual_drop / max(self.entry.statistic, 1e-9) <= 2.0
 
 
-def _scaled(entry: Entry, belief: Belief, strength: float) -> Belief:
-    """The entry's start with the effect's strengths (parameters whose null is zero) times a factor."""
-    out = entry.start
-    for parameter in entry.start.parameters:
+def _scaled(entry: Entry, start: Belief, belief: Belief, strength: float) -> Belief:
+    """A start of the entry with the effect's strengths (parameters whose null is zero) times a factor."""
+    out = start
+    for parameter in start.parameters:
         if (
             parameter.key.startswith(f"{entry.effect}.")
             and parameter.free
@@ -125,19 +125,42 @@ def start_refit(
     lender: Problem | None = None,
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
-    """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate.
+    """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate,
+    whichever of its starts does best there.
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends after the
     first iteration; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
     Returns None where no such model can be simulated.
     """
-    problem = experiment.window(spacing, share)
+    problem, found = experiment.window(spacing, share), []
+    for start in (entry.start, *entry.others):
+        begun = _begun(problem, before.belief, entry, start, iterations, hopeless, lender)
+        if begun is not None:
+            found.append(begun)
+    if not found:
+        return None
+    solution, done = min(found, key=lambda item: item[0].evaluation.chi_square)
+    if report:
+        report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
+    return solution
+
+
+def _begun(
+    problem: Problem,
+    before: Belief,
+    entry: Entry,
+    begin: Belief,
+    iterations: int,
+    hopeless: float,
+    lender: Problem | None,
+) -> tuple[Solution, int] | None:
+    """One start of an entry after a few iterations, and how many they were; see `start_refit`."""
     strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
     best, best_cost = None, np.inf
     predictor = next(iter(problem.predictors.values()))
-    longest = predictor.stable_substep(before.belief)
+    longest = predictor.stable_substep(before)
     for strength in strengths:
-        start = _scaled(entry, before.belief, strength)
+        start = _scaled(entry, begin, before, strength)
         # Far from the data the linear estimate can be many times too strong, and a strong viscosity needs
         # short substeps: start weaker, the iterations find the way.
         while (
@@ -146,7 +169,7 @@ def start_refit(
             and strength > 1e-3
         ):
             strength *= 0.5
-            start = _scaled(entry, before.belief, strength)
+            start = _scaled(entry, begin, before, strength)
         try:
             cost = problem.evaluate(start, jacobian=False).cost
         except SimulationError:
@@ -167,9 +190,7 @@ def start_refit(
             done += len(solution.history) - 1
     except SimulationError:
         return None
-    if report:
-        report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
-    return solution
+    return solution, done
 
 
 def finish_refit(

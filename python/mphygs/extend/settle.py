@@ -16,6 +16,8 @@ from mphygs.simulate.errors import SimulationError
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
 # many at most.
 RIVAL, ALIKE_EXCESS, RIVALS = 2.0, 0.1, 4
+# So many sigma a coarse grid may leave of a model that is right: up to it the default one is asked.
+MAY_BE_THE_GRIDS = 1.2
 # Refits within this factor of the best chi^2 may still be the best one: on more frames, on a finer grid.
 ALIKE = 1.35
 
@@ -26,7 +28,7 @@ def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
     ordered = sorted(refits, key=lambda r: excess(r.assessment))
     best = ordered[0]
     limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
-    near = [r for r in ordered[1:] if excess(r.assessment) < limit or r.assessment.worst <= EXPLAINED]
+    near = [r for r in ordered[1:] if excess(r.assessment) < limit or r.assessment.worst <= MAY_BE_THE_GRIDS]
     return best, near[:RIVALS]
 
 
@@ -121,7 +123,7 @@ def settled(
     """
     tried = best.refits
     best, rivals = plainest(best, rivals)
-    tied_there = any(does_alike(r, best) or r.assessment.worst <= EXPLAINED for r in rivals)
+    tied_there = any(does_alike(r, best) or r.assessment.worst <= MAY_BE_THE_GRIDS for r in rivals)
     best = refined(experiment, [*steps, best], report, screening=screening, tied=tied_there)
     return replace(among(experiment, best, rivals, report), refits=tried)
 
