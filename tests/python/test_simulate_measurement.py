@@ -1,11 +1,12 @@
 """Faults of the measurement on the way from the simulation to the markers: what a late clock shows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from force_example import FPS, shaken_bar, soft_belief
 from mphygs.model.belief import Belief
-from mphygs.simulate.measurement import frames_beyond
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
 
 FREE = ("part0.youngs_modulus", "part1.density")
@@ -23,36 +24,45 @@ def late(predictor: Predictor, frames: float) -> Belief:
     return belief.with_effect("time_offset", {"offset": frames / FPS})
 
 
-@pytest.mark.parametrize(("frames", "beyond"), [(-0.6, 0), (0.0, 0), (0.4, 1), (1.0, 1), (1.2, 2)])
-def test_as_many_frames_more_are_simulated_as_the_offset_reaches(
-    predictor: Predictor, frames: float, beyond: int
-) -> None:
-    assert frames_beyond(late(predictor, frames), FPS) == beyond
-    assert frames_beyond(soft_belief(predictor.capture), FPS) == 0
+@pytest.mark.parametrize("frames", [-1.3, -0.6, 0.0, 0.4, 1.0])
+def test_all_frames_are_shown_however_late_they_were_taken(predictor: Predictor, frames: float) -> None:
     prediction = predictor.predict(late(predictor, frames), last=7)
     assert prediction.frames.tolist() == list(range(7)) and len(prediction.position) == 7
+    early = np.arange(7) / FPS + frames / FPS <= 0.0
+    rest = predictor.predict(soft_belief(predictor.capture)).position[0]
+    moved = np.abs(prediction.position - rest).max(axis=(1, 2))
+    assert (moved[early] < 1e-15).all() and (moved[2:] > 0.0).all()
 
 
 def test_a_clock_one_frame_late_shows_the_next_frame_to_the_last(predictor: Predictor) -> None:
     plain = predictor.predict(soft_belief(predictor.capture))
     seen = predictor.predict(late(predictor, 1.0), last=FRAMES - 1)
-    np.testing.assert_allclose(seen.position, plain.position[1:], atol=1e-12)
-    np.testing.assert_allclose(seen.velocity, plain.velocity[1:], atol=1e-9)
-    # Those on the hold have what the hold will have: it goes on after the recording.
-    free = predictor.carriers.free
+    # Only the substeps of the first span differ.
+    np.testing.assert_allclose(seen.position, plain.position[1:], atol=2e-6)
+    # The last frame as well, though the recording of the hold ends there: it goes on.
     whole = predictor.predict(late(predictor, 0.5))
-    still = np.abs(whole.position[-1] - plain.position[-1]).max(axis=1)
-    assert (still[free] > 1e-4).all(), "the last frame should not stand still"
+    step = np.abs(whole.position[-1] - plain.position[-1]).max(axis=1)
+    assert (step > 1e-4).all(), "the last frame should not stand still"
 
 
 def test_between_frames_a_late_clock_shows_what_finer_frames_do(predictor: Predictor) -> None:
-    seen = predictor.predict(late(predictor, 0.5), last=FRAMES - 1)
-    before, after = (predictor.predict(late(predictor, f), last=FRAMES - 1) for f in (0.0, 1.0))
-    step = after.position - before.position
-    # A third-order rule between two frames: nearer than a straight line by far.
-    middle = (before.position + after.position) / 2 + (before.velocity - after.velocity) / (8 * FPS)
-    np.testing.assert_allclose(seen.position, middle, atol=1e-12)
-    assert np.abs(step).max() > 1e-3
+    times = np.arange(2 * FRAMES) / (2 * FPS)
+    fine = replace(predictor.recording, fps=2 * FPS, frames=2 * FRAMES, held=tuple(
+        replace(
+            hold,
+            position=hold.poses(times, FPS)[1],
+            quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (2 * FRAMES, 1)),
+        )
+        for hold in predictor.recording.held
+    ))  # fmt: skip
+    shape = (2 * FRAMES, *fine.markers.position.shape[1:])
+    fine = replace(fine, markers=replace(fine.markers, position=np.zeros(shape)))
+    other = Predictor(predictor.capture, fine, predictor.settings)
+    exact = other.predict(soft_belief(predictor.capture)).position[1:-2:2]
+    seen = predictor.predict(late(predictor, 0.5), last=FRAMES - 1).position
+    still = predictor.predict(soft_belief(predictor.capture), last=FRAMES - 1).position
+    np.testing.assert_allclose(seen, exact, atol=2e-6)
+    assert np.abs(still - exact).max() > 1e-3
 
 
 @pytest.mark.parametrize("frames", [-0.7, 0.4, 1.3])
@@ -60,7 +70,8 @@ def test_derivatives_under_a_late_clock_follow_differences(predictor: Predictor,
     belief = late(predictor, frames)
     keys = tuple(p.key for p in belief.free)
     assert keys == (*FREE, "time_offset.offset")
-    substep = predictor.stable_substep(belief)
+    # The substeps of the first span stretch with the offset: the shorter they are the less that shows.
+    substep = 0.05 * predictor.stable_substep(belief)
 
     def at(coordinates: np.ndarray, **options: object) -> Prediction:
         return predictor.predict(belief.at(coordinates), last=8, substep=substep, **options)
@@ -70,4 +81,5 @@ def test_derivatives_under_a_late_clock_follow_differences(predictor: Predictor,
         step = 1e-5 * np.eye(len(keys))[slot]
         change = (at(belief.coordinates + step).position - at(belief.coordinates - step).position) / 2e-5
         assert np.abs(change).max() > 1e-6, key
-        np.testing.assert_allclose(jacobian[..., slot], change, atol=1e-3 * np.abs(change).max(), err_msg=key)
+        near = (5e-3 if key == "time_offset.offset" else 1e-4) * np.abs(change).max()
+        np.testing.assert_allclose(jacobian[..., slot], change, atol=near, err_msg=key)

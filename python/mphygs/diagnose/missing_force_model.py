@@ -38,7 +38,6 @@ class SeenForce:
         node, weight, _ = model.weights(q.points.reshape(-1, 3), np.repeat(q.cell, 8, axis=0))
         mass = primal(belief, predictor.body)["mass"]
         moving = forced.timeline(belief).moving
-        moving = moving[moving < span[1]]
         basis = force_basis(predictor.body, mass, node, weight, model.node_count, moving)
         return cls(name, forced, basis, observation, span[0])
 

@@ -71,7 +71,7 @@ class Carriers:
             index = np.flatnonzero(self.free)[self.turning]
             offset = self._turning_offset
             position[shown, index] += np.einsum("tmij,mj->tmi", rotation, offset) - offset
-        times = timeline.frames / recording.fps
+        times = timeline.clock
         for h, hold in enumerate(recording.held):
             held = np.flatnonzero(a.hold == h)
             if len(held):
@@ -96,13 +96,6 @@ class Carriers:
             index = np.flatnonzero(self.free)[self.turning]
             turned = _polar_change(left, singular, right, df)
             out[shown, index] += np.einsum("tmij,mj->tmi", turned, self._turning_offset)
-        return out
-
-    def observe_rate(self, change: tuple, timeline: Timeline) -> np.ndarray:
-        """Derivative of the marker velocities, (T, M, 3), for that of the states."""
-        out = np.zeros((len(timeline.frames), *self.attachment.anchor.shape))
-        dv = np.asarray(change[1], float)[timeline.skipped :]
-        out[timeline.shown, self.free] = np.einsum("mk,tmkc->tmc", self.value, dv[:, self.index])
         return out
 
     def observe_adjoint(

@@ -55,11 +55,7 @@ class ForcedSequence:
 
     def timeline(self, belief: Belief) -> Timeline:
         """Frames and substeps at a belief."""
-        return self.predictor.run_timeline(belief, self.last, self.predictor.stable_substep(belief))
-
-    def acting(self, timeline: Timeline) -> np.ndarray:
-        """(F,) row of the force in each interval of a run; the last one goes on after the frames shown."""
-        return np.minimum(timeline.moving, self.last - 1)
+        return self.predictor.timeline(belief, self.last, self.predictor.stable_substep(belief))
 
     @property
     def _release_key(self) -> str:
@@ -70,13 +66,13 @@ class ForcedSequence:
         predictor, model = self.predictor, self.model(belief)
         timeline = self.timeline(belief)
         fields = predictor.inputs(belief, timeline)
-        fields["node_force"] = force[self.acting(timeline)] + fields.get("node_force", 0.0)
+        fields["node_force"] = force[timeline.moving] + fields.get("node_force", 0.0)
         hook = predictor._hook(belief, fields)
         u, v = (np.asarray(a, float) for a in model.simulate(fields, timeline.schedule, None, hook))
         position, velocity = predictor.carriers.observe((u, v), timeline, predictor.recording)
         times = timeline.frames / predictor.recording.fps
         none = np.zeros((*position.shape, 0))
-        position, *_ = measured(belief, [], times, self.last, position, velocity, none)
+        position, *_ = measured(belief, [], times, position, velocity, none)
         return ForcedMotion(belief, timeline, force, fields, u, v, position)
 
     def gradient(
@@ -92,7 +88,8 @@ class ForcedSequence:
         times = timeline.frames / predictor.recording.fps
         states = (motion.displacement, motion.velocity)
         seen = before_measurement(belief, times, position_bar)
-        bars = predictor.carriers.observe_adjoint(states, timeline, *seen, model.node_count)
+        bars = (seen, np.zeros_like(seen))
+        bars = predictor.carriers.observe_adjoint(states, timeline, *bars, model.node_count)
         hook = predictor._hook(belief, motion.fields)
         found, _ = model.adjoint(motion.fields, timeline.schedule, *bars, None, hook)
         slopes = []
@@ -108,8 +105,7 @@ class ForcedSequence:
                 slope += hook.slope(parameter, change.get("mass"))
             slopes.append(slope)
         force_bar = np.zeros(motion.force.shape)
-        found_bar = found["node_force"].reshape(-1, *motion.force.shape[1:])
-        np.add.at(force_bar, self.acting(timeline), found_bar)
+        force_bar[timeline.moving] = found["node_force"].reshape(-1, *motion.force.shape[1:])
         return force_bar, np.array(slopes)
 
     def tangents(
@@ -123,21 +119,19 @@ class ForcedSequence:
         # The parameters come first: effects in Python look theirs up by place.
         directions = [*predictor.changes(belief, simulated, timeline)]
         hook = predictor._hook(belief, motion.fields, simulated, directions)
-        directions += [{"node_force": force[self.acting(timeline)]} for force in forces]
+        directions += [{"node_force": force[timeline.moving]} for force in forces]
+        out = np.zeros((*motion.position.shape, len(keys) + len(forces)))
         value = (motion.displacement, motion.velocity)
-        carriers = predictor.carriers
-        seen = carriers.observe(value, timeline, predictor.recording)
-        changes = np.zeros((2, *seen[0].shape, len(keys) + len(forces)))
         slots = [k for k, (_, p) in enumerate(wanted) if acts_in_simulation(p)]
         slots += range(len(keys), len(keys) + len(forces))
         if directions:
             model = self.model(belief)
             _, *found = model.tangent(motion.fields, directions, timeline.schedule, None, hook)
             for slot, one in zip(slots, found, strict=True):
-                changes[0, ..., slot] = carriers.observe_tangent(value, one, timeline)
-                changes[1, ..., slot] = carriers.observe_rate(one, timeline)
+                out[..., slot] = predictor.carriers.observe_tangent(value, one, timeline)
         times = timeline.frames / predictor.recording.fps
-        *_, out = measured(belief, wanted, times, self.last, *seen, *changes)
+        seen = predictor.carriers.observe(value, timeline, predictor.recording)
+        *_, out = measured(belief, wanted, times, *seen, out)
         for slot, key in enumerate(keys):
             if key == self._release_key:
                 out[..., slot] = self._release_slope(motion)

@@ -18,7 +18,7 @@ from mphygs.simulate.body import Body, discretise, hold_boxes
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.fields import core_effects, direction, places, primal
 from mphygs.simulate.material_points import MaterialPoints
-from mphygs.simulate.measurement import frames_beyond, measured
+from mphygs.simulate.measurement import measured
 from mphygs.simulate.particle_body import discretise_particles
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.scope import belief_of_sequence, in_scope, is_absent, stated_weights
@@ -127,17 +127,14 @@ class Predictor:
         self, belief: Belief, last: int, substep: float, start: Start | None = None
     ) -> Timeline:
         """Frames 0..last-1, or from the start's on, and the substeps between them."""
-        first = None if start is None else start.frame
         return timeline_of(
-            self.recording, last, substep, release_shift=self.release_shift(belief), first=first
+            self.recording,
+            last,
+            substep,
+            release_shift=self.release_shift(belief),
+            late=belief["time_offset.offset"].value if "time_offset" in belief.effects else 0.0,
+            first=None if start is None else start.frame,
         )
-
-    def run_timeline(
-        self, belief: Belief, last: int, substep: float, start: Start | None = None
-    ) -> Timeline:
-        """The same for what must be simulated to show these frames: more of them where the belief has the
-        measurement come late."""
-        return self.timeline(belief, last + frames_beyond(belief, self.recording.fps), substep, start)
 
     # ---- fields -------------------------------------------------------------------------------
     def inputs(self, belief: Belief, timeline: Timeline, start: Start | None = None) -> dict[str, np.ndarray]:
@@ -244,27 +241,22 @@ class Predictor:
         if known is not None:
             return known
         dt = substep or self.stable_substep(belief)
-        timeline = self.run_timeline(belief, last, dt, start)
+        timeline = self.timeline(belief, last, dt, start)
         wanted = [(belief, belief[key]) for key in keys] + list(candidates)
         slots = [k for k, (_, parameter) in enumerate(wanted) if acts_in_simulation(parameter)]
         states, tangents = self._runs(belief, [wanted[k] for k in slots], timeline, start, progress)
-        seen = self.carriers.observe(states, timeline, self.recording)
-        # Of velocities only where a time offset asks for what is between the frames.
-        parts = 2 if "time_offset" in belief.effects else 1
-        changes = np.zeros((parts, *seen[0].shape, len(wanted)))
+        position, velocity = self.carriers.observe(states, timeline, self.recording)
+        jacobian = np.zeros((*position.shape, len(wanted)))
         for slot, tangent in zip(slots, tangents, strict=True):
-            changes[0, ..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
-            if parts == 2:
-                changes[1, ..., slot] = self.carriers.observe_rate(tangent, timeline)
+            jacobian[..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
         for slot, (_, parameter) in enumerate(wanted):
             if parameter.key == f"{self.recording.name}.release_shift" and start is None:
-                changes[..., slot] = self._release_slope(belief, parameter, timeline, dt, seen)[:parts]
+                jacobian[..., slot] = self._release_slope(belief, parameter, last, dt, position)
         times = timeline.frames / self.recording.fps
-        shown = len(times) - frames_beyond(belief, self.recording.fps)
-        position, velocity, jacobian = measured(belief, wanted, times, shown, *seen, *changes)
+        position, velocity, jacobian = measured(belief, wanted, times, position, velocity, jacobian)
         names = tuple(p.key for _, p in wanted)
         prediction = Prediction(
-            timeline.frames[:shown], position, velocity, jacobian, names, timeline.substeps, timeline.longest
+            timeline.frames, position, velocity, jacobian, names, timeline.substeps, timeline.longest
         )
         if whole and names:
             self._kept = [*self._kept[1 - KEPT :], (belief, last, substep, prediction)]
@@ -296,22 +288,16 @@ class Predictor:
         return mu * np.sqrt(1.5 * (b * b).sum((-2, -1)))
 
     def _release_slope(
-        self,
-        belief: Belief,
-        parameter: Parameter,
-        timeline: Timeline,
-        dt: float,
-        seen: tuple[np.ndarray, np.ndarray],
+        self, belief: Belief, parameter: Parameter, last: int, dt: float, position: np.ndarray
     ) -> np.ndarray:
-        """Of positions and velocities, (2, T, M, 3), by a difference: the release moves the schedule's start,
-        which the core does not differentiate."""
+        """By a difference: the release moves the schedule's start, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
         if parameter.value + step > parameter.upper:
             step = -step
         moved = belief.with_parameter(parameter.key, value=parameter.value + step)
-        timeline = self.timeline(moved, len(timeline.frames), dt)
-        later = self.carriers.observe(self.states(moved, timeline), timeline, self.recording)
-        return (np.stack(later) - np.stack(seen)) / step * parameter.slope
+        timeline = self.timeline(moved, last, dt)
+        later, _ = self.carriers.observe(self.states(moved, timeline), timeline, self.recording)
+        return (later - position) / step * parameter.slope
 
     def _runs(
         self,

@@ -36,10 +36,10 @@ def predict_with_gradient(
     bar = loss_slope(prediction.position)
     gradient = dict(zip(others, np.einsum("tmc,tmck->k", bar, prediction.jacobian), strict=True))
     if simulated:
-        timeline = predictor.run_timeline(belief, last, substep, start)
+        timeline = predictor.timeline(belief, last, substep, start)
         times = timeline.frames / predictor.recording.fps
-        bars = before_measurement(belief, times, bar)
-        slopes = _through_simulation(predictor, belief, simulated, timeline, start, *bars)
+        seen = before_measurement(belief, times, bar)
+        slopes = _through_simulation(predictor, belief, simulated, timeline, start, seen)
         gradient.update(zip(simulated, slopes, strict=True))
     return prediction, np.array([gradient[key] for key in keys])
 
@@ -51,7 +51,6 @@ def _through_simulation(
     timeline: Timeline,
     start: Start | None,
     position_bar: np.ndarray,
-    velocity_bar: np.ndarray,
 ) -> list[float]:
     """Inner product of the adjoint's bars of all fields with each parameter's change of them."""
     transfer, carriers = predictor.transfer, predictor.carriers
@@ -63,7 +62,7 @@ def _through_simulation(
     # A marker that turns needs the motion itself: the derivative of its rotation depends on it.
     states = transfer.simulate(*run, None, hook) if carriers.turning.any() else None
     count = len(transfer.places_at_rest())
-    carried = carriers.observe_adjoint(states, timeline, position_bar, velocity_bar, count)
+    carried = carriers.observe_adjoint(states, timeline, position_bar, np.zeros_like(position_bar), count)
     bars = transfer.adjoint(*run, carried, hook)
     slopes = []
     parameters = [belief[key] for key in keys]

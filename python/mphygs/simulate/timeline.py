@@ -13,12 +13,13 @@ from mphygs.capture.record import Sequence as Recording
 class Timeline:
     """Output frames and substeps of a run.
 
-    frames: (T,) frames to show; moving: those after the initial state, computed one by one; times: of these
-    [s]; resting: frames that show the object at rest, before the run's own states; skipped: states of the
-    run before the first one that a frame shows.
+    frames: (T,) frames to show; clock: (T,) when they were taken [s]; moving: those after the initial state,
+    computed one by one; times: of these [s]; resting: frames that show the object at rest, before the run's
+    own states; skipped: states of the run before the first one that a frame shows.
     """
 
     frames: np.ndarray
+    clock: np.ndarray
     moving: np.ndarray
     schedule: dict
     times: np.ndarray
@@ -51,27 +52,33 @@ def timeline_of(
     substep: float,
     *,
     release_shift: float = 0.0,
+    late: float = 0.0,
     first: int | None = None,
 ) -> Timeline:
     """Frames 0..last-1 and the substeps between them; motion starts at the release.
 
-    substep: longest [s]; first: a frame in mid-motion to begin at instead, whose state is given.
+    substep: longest [s]; late: how much later than stated every frame was taken [s]; first: a frame in
+    mid-motion to begin at instead, whose state is given.
     """
     fps, release = recording.fps, recording.release
     if first is not None:
         frames = np.arange(first, last)
-        moving, start, resting, skipped = frames[1:], first / fps, 0, 0
+        start, moving, resting, skipped = first / fps + late, frames[1:], 0, 0
     else:
         frames = np.arange(last)
         start = 0.0 if release is None else max(release / fps + release_shift, 0.0)
-        moving = frames[1:] if release is None else frames[frames / fps > start + 1e-9]
-        # Before a release all rests; the run's own first state is then shown by no frame.
-        resting, skipped = (0, 0) if release is None else (last - len(moving), 1)
-    times = moving / fps
+        if release is None and late == 0.0:
+            moving, resting, skipped = frames[1:], 0, 0
+        else:
+            # Before the start all rests; the run's own first state is then shown by no frame.
+            moving = frames[frames / fps + late > start + 1e-9]
+            resting, skipped = last - len(moving), 1
+    clock = frames / fps + late if late else frames / fps
+    times = moving / fps + late if late else moving / fps
     spans = np.diff(np.r_[start, times])
     steps = np.maximum(np.ceil(spans / substep - 1e-9), 1).astype(np.int32)
     schedule = {"steps": steps, "dt": spans / np.maximum(steps, 1), "start": start}
-    return Timeline(frames, moving, schedule, times, resting, skipped)
+    return Timeline(frames, clock, moving, schedule, times, resting, skipped)
 
 
 def poses_of(recording: Recording, timeline: Timeline) -> np.ndarray:
