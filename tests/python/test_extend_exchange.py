@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, recorded
+from extend_example import SPACING, excess_of, recorded
 from mphygs.extend import exchange
 from mphygs.extend.discover import _conclude
 from mphygs.extend.exchange import exchanged
@@ -84,3 +85,22 @@ def test_nothing_is_asked_of_a_model_at_the_noise_or_far_from_it() -> None:
     # What was added last, or taken out again, is not asked.
     alone = [far[0], steps_with("viscosity", {"eta": 5.0})[-1]]
     assert exchange_of(alone, said) is None and not said
+
+
+def test_what_was_taken_out_may_come_back() -> None:
+    steps = steps_with("viscosity", {"eta": 5.0})
+    gone = replace(steps[-1], added=("wind",), dropped=("viscosity",))
+    back = replace(steps[-1], added=("viscosity",), dropped=("gravity",))
+    assert _conclude([*steps, gone], [], []).effects == ("gravity", "wind")
+    assert _conclude([*steps, gone, back], [], []).effects == ("wind", "viscosity")
+
+
+@pytest.mark.parametrize(("excess", "taken"), [(0.05, True), (0.3, False)])
+def test_what_explains_less_takes_no_place(
+    excess: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = steps_with("viscosity", {"eta": 5.0})
+    rival = replace(steps[-1], added=("mass_damping",), assessment=excess_of(excess))
+    monkeypatch.setattr(exchange, "among", lambda *_: rival)
+    found = exchange_of(steps, [])
+    assert (found is not None) is taken

@@ -107,7 +107,8 @@ def without_faults(rest: np.ndarray, times: np.ndarray, position: np.ndarray) ->
 
     rest: (T, M, 3) [m], NaN where missing; times: (T,) [s]; position: (T, M, 3) [m], where they truly are,
     NaN where that is missing. The time offset, the length scale and the frame's drift (its velocity and its
-    turning) that fit it best are taken off together, by least squares.
+    turning) that fit it best are taken off together, by least squares; what is left is scaled up by what this
+    takes of the noise.
     """
     axes = np.eye(3)
     t = times[:, None, None]
@@ -122,12 +123,13 @@ def without_faults(rest: np.ndarray, times: np.ndarray, position: np.ndarray) ->
     matrix = np.stack([column[seen] for column in columns], axis=1)
     scale = np.linalg.norm(matrix, axis=0)
     matrix = matrix[:, scale > 0] / scale[scale > 0]
-    if len(matrix) <= 2 * matrix.shape[1]:
+    rows, numbers = matrix.shape
+    if rows <= 4 * numbers:
         return rest
     shares = np.linalg.lstsq(matrix, rest[seen], rcond=1e-6)[0]
     left = rest.copy()
     left[seen] -= matrix @ shares
-    return left
+    return left * np.sqrt(rows / (rows - numbers))
 
 
 def _noise_of_tracks(markers: Markers) -> NoiseModel:

@@ -100,7 +100,7 @@ class PointMotion:
             points + np.einsum("qk,tqkc->tqc", weight, u[:, node]),
             np.einsum("qk,tqkc->tqc", weight, v[:, node]),
             np.einsum("tqkc,qkj->tqcj", v[:, node], slope),
-            gradient + np.eye(3), (motion.timeline.frames - 0.5) / predictor.recording.fps,
+            gradient + np.eye(3), motion.timeline.clock - 0.5 / predictor.recording.fps,
             area, surface_node, surface_weight, part[nearest],
             np.einsum("sk,tskc->tsc", surface_weight, v[:, surface_node]),
         )  # fmt: skip

@@ -243,9 +243,10 @@ def discover(
     while len(steps) < LONGEST:
         generator = np.random.default_rng((seed, len(steps)))
         step = exchanged(experiment, steps, coarse, generator, names=names, report=report)
-        if step is None:
+        step = step and judged(step)
+        if step is None or not step.explained:
             break
-        done(judged(step))
+        done(step)
     if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
         steps[-1] = readmitted(experiment, steps[-1], report)
     if steps[-1].added and AT_FLOOR < steps[-1].assessment.worst <= EXPLAINED:
@@ -262,9 +263,10 @@ def discover(
 
 def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -> Discovery:
     last = steps[-1]
-    added = [name for step in steps for name in step.added]
-    dropped = {name for step in steps for name in step.dropped}
-    added = [name for name in added if name not in dropped]
+    added: list[str] = []
+    for step in steps:
+        added += [name for name in step.added if name not in added]
+        added = [name for name in added if name not in step.dropped]
     if not last.explained:
         verdict, added = "unknown", []
     elif not added:

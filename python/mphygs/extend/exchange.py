@@ -67,18 +67,21 @@ def _in_place_of(
     say = report or (lambda _text: None)
     say(f"what may stand in the place of {name}, now that {', '.join(current.added)} is in the model")
     try:
-        refits = _tried(name, experiment, current, spacing, generator, names, report)
+        refits, since = _tried(name, experiment, current, spacing, generator, names, report)
     except SimulationError:
         return None
     own = [excess(r.assessment) for r in refits if r.entry.effect == name]
     limit = min(own) if own else np.inf
     better = [r for r in refits if r.entry.effect != name and r.pays and excess(r.assessment) < limit]
     better.sort(key=lambda r: excess(r.assessment))
-    rivals = [step_of(r, spacing, (), 1.0) for r in better[:RIVALS]]
+    rivals = [step_of(r, spacing, (), since) for r in better[:RIVALS]]
     if not rivals:
         return None
-    chosen = among(experiment, replace(current, added=(name,), refits=(), warnings=()), rivals, report)
-    if chosen.added == (name,):
+    try:
+        chosen = among(experiment, replace(current, added=(name,), refits=(), warnings=()), rivals, report)
+    except SimulationError:
+        return None
+    if chosen.added == (name,) or excess(chosen.assessment) >= excess(current.assessment):
         return None
     say(f"{chosen.added[0]} in the place of {name}")
     return replace(chosen, dropped=(name,))
@@ -92,8 +95,9 @@ def _tried(
     generator: np.random.Generator,
     names: Sequence[str] | None,
     report: Callable[[str], None] | None,
-) -> list[Refit]:
-    """One round of the loop for the model without the named effect. Raises SimulationError."""
+) -> tuple[list[Refit], float]:
+    """One round of the loop for the model without the named effect: refits, and the share of the frames that
+    they were found on. Raises SimulationError."""
     say = report or (lambda _text: None)
     lacking = minimise(
         experiment.problem(spacing),
@@ -117,4 +121,4 @@ def _tried(
         allowance=allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=share),
         report=report,
     )
-    return refits_of(experiment, step, window, ranking, spacing, generator, say)
+    return refits_of(experiment, step, window, ranking, spacing, generator, say), share

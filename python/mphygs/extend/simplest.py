@@ -47,4 +47,4 @@ def among_all(experiment: Experiment, first: Belief, step: Step) -> Step:
     whole = step_at(
         experiment, belief, step.spacing, added=step.added, ties=step.ties, lender=step.lender
     )
-    return replace(whole, since=step.since, refits=step.refits)
+    return replace(whole, since=step.since, refits=step.refits, dropped=step.dropped)

@@ -74,7 +74,7 @@ _MATERIAL = (
     ),
 )
 
-# Faults of the measurement: they act on the prediction after the simulation.
+# Faults of the measurement: they act on what is seen of the simulation, and when.
 _MEASUREMENT = (
     EffectSpec(
         "time_offset",

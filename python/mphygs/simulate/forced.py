@@ -35,7 +35,7 @@ class ForcedMotion:
     @property
     def spans(self) -> np.ndarray:
         """(F,) length of the intervals that end at the moving frames [s]."""
-        return self.timeline.schedule["dt"] * self.timeline.schedule["steps"]
+        return self.timeline.spans
 
 
 class ForcedSequence:

@@ -32,6 +32,11 @@ class Timeline:
         return slice(self.resting, len(self.frames))
 
     @property
+    def spans(self) -> np.ndarray:
+        """(F,) length of the intervals that end at the moving frames [s]."""
+        return self.schedule["dt"] * self.schedule["steps"]
+
+    @property
     def substeps(self) -> int:
         return int(self.schedule["steps"].sum())
 
