@@ -87,6 +87,17 @@ def test_derivatives_under_a_late_clock_follow_differences(predictor: Predictor,
         np.testing.assert_allclose(jacobian[..., slot], change, atol=near, err_msg=key)
 
 
+def test_markers_on_a_hold_are_seen_where_it_is_then(predictor: Predictor) -> None:
+    recording = predictor.recording
+    at = np.array([[0.0, 0.004, 0.01], [0.0, 0.01, 0.004]])
+    held = replace(recording, markers=replace(recording.markers, at=at, position=np.zeros((FRAMES, 2, 3))))
+    one = Predictor(predictor.capture, held, predictor.settings)
+    seen = one.predict(late(predictor, 0.4)).position
+    _, shift = recording.held[0].poses((np.arange(FRAMES) + 0.4) / FPS, FPS)
+    np.testing.assert_allclose(seen, at + shift[:, None], atol=1e-12)
+    assert np.abs(seen - one.predict(soft_belief(predictor.capture)).position).max() > 5e-4
+
+
 @pytest.mark.parametrize("frames", [-0.4, 0.4])
 @pytest.mark.parametrize("since", [0, 3])
 def test_a_late_clock_shows_a_load_s_motion_later(since: int, frames: float) -> None:
