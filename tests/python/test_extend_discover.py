@@ -636,6 +636,25 @@ def test_a_step_that_was_kept_is_not_asked_again_for_its_grid(
     assert found.warnings == tuple(f"of {names}" for names in added)
 
 
+@pytest.mark.parametrize(("worst", "effects"), [(1.0, ("gravity", "wind")), (1.2, ("viscosity", "gravity"))])
+def test_an_exchange_that_explains_no_longer_is_not_made(
+    worst: float, effects: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near = assessment_of(1.06)
+    steps = [step_of(near, added=names) for names in ((), ("viscosity",), ("gravity",))]
+    other = [replace(step_of(assessment_of(worst), added=("wind",)), dropped=("viscosity",))]
+    monkeypatch.setattr(discover, "exchanged", lambda *_, **__: other.pop() if other else None)
+    for name in ("polished", "anew", "reconciled"):
+        monkeypatch.setattr(discover, name, lambda _e, step, _r: step)
+    monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
+    monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)
+    monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
+    monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
+    experiment = SimpleNamespace(capture=None)
+    found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
+    assert (found.verdict, found.effects) == ("missing", effects)
+
+
 # ---- what is concluded ------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("added", "ratio", "adequate", "verdict", "effects"),

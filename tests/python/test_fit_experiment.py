@@ -117,8 +117,9 @@ def test_a_step_of_some_sequences_is_compared_on_all() -> None:
     # What was found on the simplest: another stiffness, an effect, the release of one sequence alone.
     belief = released(truth, "plain", 0.02).with_effect("viscosity", {"eta": 3.0})
     belief = belief.with_parameter("part0.density", value=900.0)
-    found = replace(made_step(belief), added=("viscosity",), ties=("mass_damping",))
+    found = replace(made_step(belief), added=("viscosity",), ties=("mass_damping",), dropped=("wind",))
     step = among_all(made, first, found)
+    assert step.dropped == ("wind",)
     assert (step.added, step.ties, step.spacing) == (("viscosity",), ("mass_damping",), SPACING)
     assert set(step.compared) == {"plain", "late", "pulled"}
     values = {p.key: p.value for p in step.belief.parameters}

@@ -78,8 +78,7 @@ def timeline_of(
             # Before the start all rests; the run's own first state is then shown by no frame.
             moving = frames[frames / fps + late > start + 1e-9]
             resting, skipped = last - len(moving), 1
-    clock = frames / fps + late if late else frames / fps
-    times = moving / fps + late if late else moving / fps
+    clock, times = frames / fps + late, moving / fps + late
     spans = np.diff(np.r_[start, times])
     steps = np.maximum(np.ceil(spans / substep - 1e-9), 1).astype(np.int32)
     schedule = {"steps": steps, "dt": spans / np.maximum(steps, 1), "start": start}
