@@ -1,4 +1,4 @@
-"""The cases: nulls, single effects, pairs, causes outside the list, faults, and traps."""
+"""The cases: nulls, single effects, pairs, causes outside the list, faults, near pairs, and a trap."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mphygs.synth.shapes import shape
 
 # Grid of the truth over the fit's: finer, and with nodes elsewhere.
 SPACING_SHARE = 0.77
-GROUPS = ("null", "single", "pair", "outside", "fault", "trap")
+GROUPS = ("null", "single", "pair", "outside", "fault", "near", "trap")
 
 
 @dataclass(frozen=True)
 class Case:
     """One case. hidden: as of `mphygs synth --hidden`; noise: its kind; fit_spacing: over a fit's default;
-    group_of: names of which any may be named first (a trap), beside those hidden."""
+    group_of: names that act so much alike that any may be named first (near, trap), beside those hidden."""
 
     name: str
     group: str
@@ -104,14 +104,21 @@ CASES: tuple[Case, ...] = (
     Case("fault-frame_drift", "fault", hidden=("frame_drift",)),
     Case("fault-marker_outliers", "fault", hidden=("marker_outliers:count=3",)),
     # A uniform bar feels a fast thin wind as it feels a tilt: a steady force in proportion to its mass.
-    Case("trap-tilt-or-wind", "trap", "bar", ("gravity:delta_g_y=0.6",), group_of=("wind",)),
+    Case("near-tilt-or-wind", "near", "bar", ("gravity:delta_g_y=0.6",), group_of=("wind",)),
     # More mass towards the tip, as a lump or as a gradient, slows the first mode alike.
     Case(
-        "trap-mass-or-gradient",
-        "trap",
+        "near-mass-or-gradient",
+        "near",
         "bar",
         ("density_gradient:slope=12",),
         group_of=("attached_mass", "stiffness_gradient"),
+    ),
+    # What relaxes within a hundredth of a swing is a viscosity: no motion of this bar tells the two apart.
+    Case(
+        "trap-viscosity-or-relaxation",
+        "trap",
+        hidden=("relaxation:ratio=2:tau=0.001",),
+        group_of=("viscosity",),
     ),
 )
 

@@ -37,7 +37,7 @@ class Options:
     """Run the loop on captures with known truth and print how well it does."""
 
     cases: Annotated[str, tyro.conf.arg(metavar="a,b")] = ""
-    """Names (with * and ?) or groups: null, single, pair, outside, fault, trap. Default: all."""
+    """Names (with * and ?) or groups: null, single, pair, outside, fault, near, trap. Default: all."""
     seeds: Annotated[str, tyro.conf.arg(metavar="0,1")] = "0,1"
     """Seeds of materials, marker places and noise."""
     out: Path = Path("runs/hidden_effects")

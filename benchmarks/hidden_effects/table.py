@@ -41,18 +41,25 @@ def right(entry: dict) -> bool:
             return entry["verdict"] == "measurement" and set(concluded) == true
         case "pair":
             return set(concluded) == true
+        case "trap":
+            return named_first(entry) and tied(entry)
         case _:
             return named_first(entry) or in_ties(entry)
 
 
 def named_first(entry: dict) -> bool:
-    """Whether the first name concluded is hidden, or one that a trap allows."""
+    """Whether the first name concluded is hidden, or one that acts so much alike that it may stand for it."""
     return bool(entry["effects"]) and entry["effects"][0] in (*entry["true"], *entry["allowed"])
 
 
 def in_ties(entry: dict) -> bool:
     """Whether what is hidden is among those reported as not told apart from the first."""
     return bool(entry["effects"]) and bool(set(entry["true"]) & set(entry["ties"]))
+
+
+def tied(entry: dict) -> bool:
+    """Whether what acts alike, or what is hidden, is reported as not told apart from what was named."""
+    return bool(set(entry["ties"]) & {*entry["true"], *entry["allowed"]})
 
 
 def _worst(values: Sequence[float]) -> str:
@@ -100,7 +107,7 @@ def summary(records: Sequence[dict]) -> dict[str, object]:
     large = [r for r in physics if (r["statistic"] or 0.0) > LARGE]
     small = [r for r in physics if r not in large]
     errors = [abs(e) for r in physics for e in r["errors_in_std"].values()]
-    explained = [r for r in group("single", "pair", "trap") if r["verdict"] == "missing"]
+    explained = [r for r in group("single", "pair", "near", "trap") if r["verdict"] == "missing"]
     held_out = [max(r["held_out"]) for r in explained if r["held_out"]]
     ratios = [x for r in done for x in r["predicted_over_actual"]]
     seconds = [r["seconds"] for r in done]
@@ -109,7 +116,8 @@ def summary(records: Sequence[dict]) -> dict[str, object]:
         "named_first_small": _rate([named_first(r) for r in small]),
         "named_or_in_ties": _rate([named_first(r) or in_ties(r) for r in physics]),
         "pairs_complete": _rate([right(r) for r in group("pair")]),
-        "traps_with_ties": _rate([bool(set(r["ties"]) & {*r["true"], *r["allowed"]}) for r in group("trap")]),
+        "near_pairs_named": _rate([right(r) for r in group("near")]),
+        "traps_with_ties": _rate([right(r) for r in group("trap")]),
         "false_alarms": _rate([bool(r["effects"]) for r in group("null")]),
         "nulls_not_adequate": _rate([r["verdict"] != "adequate" for r in group("null")]),
         "unknown": _rate([r["verdict"] == "unknown" for r in group("outside")]),
