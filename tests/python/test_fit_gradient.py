@@ -154,6 +154,8 @@ def test_a_bound_is_kept() -> None:
     exact = minimise(problem, start, tolerance=1e-6, relative_tolerance=1e-9)
     assert exact.belief["viscosity.eta"].value == pytest.approx(2.0)
     found = minimise_by_gradient(problem, start, method="lbfgs", iterations=40, tolerance=1e-3)
+    assert list(found.history) == sorted(found.history, reverse=True)
+    assert [p.key for p in found.belief.free] == [p.key for p in start.free]
     assert found.belief["viscosity.eta"].value == pytest.approx(2.0, rel=1e-3)
     assert found.evaluation.cost == pytest.approx(exact.evaluation.cost, rel=1e-2)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.compare.assess import LARGEST_EXCUSED, PRACTICAL_FLOOR, Compared
-from mphygs.extend.step import Step, known_budget
+from mphygs.extend.step import Step, from_grid_to_grid, known_budget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import borrowed, minimise, told, with_jacobian_of
 from mphygs.fit.problem import Evaluation, Problem
@@ -69,7 +69,9 @@ def lent(
         return None
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return step.refitted(solution, compared, assessment, spacing=spacing, lender=lender, beside=None)
+    moved = from_grid_to_grid(step, solution.belief, spacing)
+    changes = {"spacing": spacing, "lender": lender, "beside": None, "moved": moved}
+    return step.refitted(solution, compared, assessment, **changes)
 
 
 def evaluated(experiment: Experiment, belief: Belief, spacing: float, lender: float | None) -> Evaluation:
@@ -139,14 +141,10 @@ def carried_over(
     }
     assessment = experiment.assess(compared)
     say(f"{rival.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return rival.refitted(
-        solution, compared, assessment, spacing=best.spacing, lender=lender, beside=None
-    )
+    return rival.refitted(solution, compared, assessment, spacing=best.spacing, lender=lender, beside=None)
 
 
-def compared_by(
-    experiment: Experiment, belief: Belief, spacing: float, lender: float
-) -> dict[str, Compared]:
+def compared_by(experiment: Experiment, belief: Belief, spacing: float, lender: float) -> dict[str, Compared]:
     """A belief compared on one grid, with the tangents of a coarser one of spacing `lender` [m] and the
     discretisation's share that the change between the two shows."""
     here = experiment.compare(belief, spacing, jacobian=False)

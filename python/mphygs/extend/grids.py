@@ -20,7 +20,7 @@ from mphygs.extend.finer import (
 )
 from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
-from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
+from mphygs.extend.step import EXPLAINED, Step, excess, from_grid_to_grid, known_budget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
 from mphygs.fit.places import relocated
@@ -152,7 +152,9 @@ def on_grid(
         return None
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return step.refitted(solution, compared, assessment, spacing=spacing, lender=None, beside=None)
+    moved = from_grid_to_grid(step, solution.belief, spacing)
+    changes = {"spacing": spacing, "lender": None, "beside": None, "moved": moved}
+    return step.refitted(solution, compared, assessment, **changes)
 
 
 def _to_last_digits(problem: Problem, belief: Belief) -> Solution:
@@ -207,9 +209,7 @@ def followed(
         problem = experiment.window(spacing, share)
         # Far from the minimum a step of the coarse grid may lead to where that grid carries nothing.
         lender = None if far else lender_of(experiment, spacing, share)
-        return fit_what_sets_in(
-            problem, start, iterations=iterations, lender=lender, report=tell
-        ).belief
+        return fit_what_sets_in(problem, start, iterations=iterations, lender=lender, report=tell).belief
 
     belief = hold_friction(belief)
     before = [BEFORE * share * since for share in (0.5, 1.0)]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.extend.refit import Refit
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.model.belief import Belief
+from mphygs.model.belief import Belief, Parameter
 
 # The error counts as explained below this many sigma on every range.
 EXPLAINED = 1.1
@@ -25,7 +26,9 @@ class Step:
     dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
     fitted to all frames, explains them all; lender: spacing of the coarser grid that its Jacobians are
     of [m], None where they are its own; beside: spacing of the coarser grid that showed the discretisation's
-    share, where one was asked [m], None for a finer one; warnings: what was said on the way to it."""
+    share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
+    coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); warnings:
+    what was said on the way to it."""
 
     belief: Belief
     solution: Solution
@@ -40,6 +43,7 @@ class Step:
     reconciled: bool = False
     lender: float | None = None
     beside: float | None = None
+    moved: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def refitted(
@@ -60,6 +64,30 @@ class Step:
         """Whether the error is at its floor; without any effect added, whether the model needs none."""
         near = bool(self.added) and self.assessment.worst <= EXPLAINED
         return self.assessment.adequate or near or self.reconciled
+
+
+def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, float]:
+    """How far coordinates are from where an ever finer grid would lead, by the parameter's key.
+
+    A model's numbers were fitted on the grid of `step` and are fitted on a finer one of `spacing` [m] now, as
+    `fitted`: their change over r^2 - 1, r the ratio of the spacings (Richardson, second order). What stood at
+    a bound on either grid says nothing.
+    """
+    ratio = (step.spacing / spacing) ** 2 - 1.0
+    if ratio <= 0.0:
+        return {}
+    before = {p.key: p for p in step.belief.free}
+    return {
+        p.key: (p.coordinate - before[p.key].coordinate) / ratio
+        for p in fitted.free
+        if p.key in before and not (_at_bound(p) or _at_bound(before[p.key]))
+    }
+
+
+def _at_bound(parameter: Parameter) -> bool:
+    low, high = parameter.lower, parameter.upper
+    near = 1e-6 * max(abs(parameter.value), 1e-300)
+    return parameter.value - low <= near or high - parameter.value <= near
 
 
 def known_budget(step: Step) -> bool:

@@ -66,6 +66,7 @@ def state_of(step: Step) -> dict[str, object]:
         "lender": step.lender,
         "refined": known_budget(step),
         "beside": step.beside,
+        "moved": dict(step.moved),
         "since": step.since,
         "reconciled": step.reconciled,
         "warnings": list(step.warnings),
@@ -94,6 +95,7 @@ def restored(
         dropped=tuple(name for name in before if name not in document["effects"]),
         since=state["since"],
         reconciled=state["reconciled"],
+        moved=state["moved"],
         warnings=tuple(state["warnings"]),
     )
 
@@ -109,7 +111,8 @@ class Uncertainty(NamedTuple):
 
 def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     """How sure a step is: by the noise, places that were fitted and boundaries that pictures leave unsure,
-    and in the covariance by the grid as well where a refinement is known.
+    and in the covariance by the grid as well: by how far its numbers came from a coarser one, and by what a
+    refinement of its prediction would move where one is known, whichever is more.
 
     What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
     noise, and even that says too little, for it goes on from frame to frame.
@@ -128,8 +131,14 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     if not known.std:
         rows = evaluation.jacobian[evaluation.data_rows :]
         shift = grid_shift(step.compared, rows.T @ rows)
-    spread = spread if shift is None else spread + np.outer(shift, shift)
+    shift = _larger(shift, np.array([step.moved.get(p.key, 0.0) for p in step.belief.free]))
+    spread = spread + np.outer(shift, shift)
     return Uncertainty(spread, information, known.std)
+
+
+def _larger(one: np.ndarray | None, other: np.ndarray) -> np.ndarray:
+    """Whichever of two shifts of the coordinates, (P,), is larger, coordinate by coordinate."""
+    return other if one is None else np.where(np.abs(one) > np.abs(other), one, other)
 
 
 def _grid_change(step: Step, grid: Problem) -> np.ndarray | None:

@@ -10,7 +10,7 @@ method for large scale optimization", 1989; both as in torch.optim.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,7 @@ from torch import Tensor
 from mphygs.compare.noise import Observation
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Problem
-from mphygs.model.belief import Belief
+from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 
@@ -144,6 +144,40 @@ def minimise_by_gradient(
         raise ValueError(f"method '{method}': expected one of {', '.join(METHODS)}")
     if not belief.free:
         raise ValueError("minimise_by_gradient: expected a belief with free parameters")
+    options = (method, iterations, learning_rate, tolerance, relative_tolerance, report)
+    found, history, converged, reason = _search(problem, belief, *options)
+    held = [p.key for p in found.free if _at_bound(p)]
+    left = iterations + 1 - len(history)
+    if held and left > 0 and len(held) < len(found.free):
+        # Where the gradient is cut off at a bound the search creeps: once more, with what stands there held.
+        for key in held:
+            found = found.with_parameter(key, free=False)
+        again = (method, left, learning_rate, tolerance, relative_tolerance, report)
+        found, more, converged, reason = _search(problem, found, *again)
+        # What was known of them beforehand no longer counts there: the same at every point.
+        history += [history[-1] + cost - more[0] for cost in more[1:]]
+        for key in held:
+            found = found.with_parameter(key, free=True)
+    return Solution(found, problem.evaluate(found), tuple(history), converged, reason)
+
+
+def _at_bound(parameter: Parameter) -> bool:
+    bounds = (parameter.lower, parameter.upper)
+    values = [v for v in bounds if np.isfinite(v) and not (parameter.log and v <= 0.0)]
+    return any(abs(parameter.coordinate - replace(parameter, value=v).coordinate) < 1e-9 for v in values)
+
+
+def _search(
+    problem: Problem,
+    belief: Belief,
+    method: str,
+    iterations: int,
+    learning_rate: float | None,
+    tolerance: float,
+    relative_tolerance: float,
+    report: Callable[[int, float, Belief], None] | None,
+) -> tuple[Belief, list[float], bool, str]:
+    """The best belief of one search, the costs on the way, whether it converged, and why it ended."""
     count = len(belief.free)
     first = problem.evaluate(belief, jacobian=count <= LARGEST_METRIC)
     # In units of the starting cost: the first gradients are then of order one whatever the noise.
@@ -192,5 +226,4 @@ def minimise_by_gradient(
         ):
             converged, reason = True, "converged"
             break
-    found = belief.at(objective.at_best)
-    return Solution(found, problem.evaluate(found), tuple(history), converged, reason)
+    return belief.at(objective.at_best), history, converged, reason
