@@ -24,6 +24,12 @@ void bind(py::module_& m, const char* name) {
                                    const auto n = static_cast<py::ssize_t>(self.node_count());
                                    return to_array(std::move(p), {n, 3});
                                })
+        .def_property_readonly("node_index",
+                               [](const Model& self) {
+                                   std::vector<std::int32_t> index = self.node_index();
+                                   const auto n = static_cast<py::ssize_t>(self.node_count());
+                                   return to_array(std::move(index), {n, 3});
+                               })
         .def("node_mass", [](const Model& self, const py::dict& fields) { return to_array(self.node_mass(to_fields<T>(fields)), {static_cast<py::ssize_t>(self.node_count())}); })
         .def("rest_forces", [](const Model& self, const py::dict& fields) { return to_array(self.rest_forces(to_fields<T>(fields)), {static_cast<py::ssize_t>(self.node_count()), 3}); })
         .def("weights",

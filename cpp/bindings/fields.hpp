@@ -27,12 +27,13 @@ std::vector<T> entry(const py::dict& d, const char* key) {
 
 inline mphygs::Geometry to_geometry(const py::dict& d) {
     reject_unknown(d,
-                   {"origin", "spacing", "cell", "part", "points", "surface_cell", "surface_points", "surface_area", "place_cell",
+                   {"origin", "spacing", "grid_width", "cell", "part", "points", "surface_cell", "surface_points", "surface_area", "place_cell",
                     "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "part_count"},
                    "geometry");
     mphygs::Geometry g;
     g.origin = d["origin"].cast<std::array<double, 3>>();
     g.spacing = d["spacing"].cast<std::array<double, 3>>();
+    g.grid_width = d.contains("grid_width") ? d["grid_width"].cast<int>() : 0;
     g.cell = entry<std::int32_t>(d, "cell");
     g.part = entry<std::int32_t>(d, "part");
     g.points = entry<double>(d, "points");

@@ -15,11 +15,19 @@ Eigen::VectorXd transposed_solve(const Eigen::PartialPivLU<Eigen::MatrixXd>& lu,
 
 }  // namespace
 
-void BlockTridiagonal::analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<int>& start) {
+void BlockTridiagonal::analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<int>& start,
+                               const std::vector<std::vector<int>>& together) {
     const int n = static_cast<int>(matrix.rows());
     levels_.clear();
     level_of_.assign(static_cast<std::size_t>(n), -1);
     place_of_.assign(static_cast<std::size_t>(n), 0);
+    std::vector<std::vector<std::size_t>> groups_of(static_cast<std::size_t>(n));
+    for (std::size_t g = 0; g < together.size(); ++g) {
+        for (const int i : together[g]) {
+            groups_of[static_cast<std::size_t>(i)].push_back(g);
+        }
+    }
+    std::vector<bool> entered(together.size(), false);
     std::vector<int> level = start;
     int next_seed = 0;
     while (true) {
@@ -44,6 +52,23 @@ void BlockTridiagonal::analyse(const Eigen::SparseMatrix<double>& matrix, const 
                 if (l < 0) {
                     l = number + 1;
                     next.push_back(static_cast<int>(it.row()));
+                }
+            }
+        }
+        // Only of those found here: what joins them by one group does not call in its other groups.
+        const std::size_t found = next.size();
+        for (std::size_t k = 0; k < found; ++k) {
+            for (const std::size_t g : groups_of[static_cast<std::size_t>(next[k])]) {
+                if (entered[g]) {
+                    continue;
+                }
+                entered[g] = true;
+                for (const int i : together[g]) {
+                    int& l = level_of_[static_cast<std::size_t>(i)];
+                    if (l < 0) {
+                        l = number + 1;
+                        next.push_back(i);
+                    }
                 }
             }
         }

@@ -34,7 +34,9 @@ Constraint::Constraint(const Geometry& g, const std::vector<std::int32_t>& node,
     hold_gram_.assign(holds_ * holds_, 0.0);
     for (std::size_t r = 0; r < rows_; ++r) {
         for (std::size_t s = 0; s < rows_; ++s) {
-            inverse_ones_[static_cast<std::size_t>(hold_[s]) * rows_ + r] += inverse_[r * rows_ + s];
+            if (hold_[s] >= 0) {
+                inverse_ones_[static_cast<std::size_t>(hold_[s]) * rows_ + r] += inverse_[r * rows_ + s];
+            }
         }
     }
     for (std::size_t h = 0; h < holds_; ++h) {
@@ -47,7 +49,9 @@ void Constraint::sum_per_hold(const double* x, double* result) const {
         result[h] = 0;
     }
     for (std::size_t r = 0; r < rows_; ++r) {
-        result[hold_[r]] += x[r];
+        if (hold_[r] >= 0) {
+            result[hold_[r]] += x[r];
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "mphygs/equilibrium_assembly.hpp"
 
@@ -13,13 +14,28 @@ namespace {
 // matrix, and with that one, that another one may.
 constexpr double enough_to_keep = 0.1, enough_to_go_on = 0.3;
 
+// Of the material whose stiffness holds the shapes of a cell that its eight points cannot see [Pa].
+constexpr double unseen_stiffness = 0.05;
+
 using P = Pack<double>;
+
+/// Projector (27, 27) from the node values of a cell to what is left of them beside polynomials of degree 2 or less,
+/// the shapes that eight points always see.
+Eigen::Matrix<double, 27, 27> beside_polynomials() {
+    Eigen::Matrix<double, 27, 10> shapes;
+    for (int a = 0; a < 27; ++a) {
+        const double x = a / 9 - 1, y = (a / 3) % 3 - 1, z = a % 3 - 1;
+        shapes.row(a) << 1, x, y, z, x * x, y * y, z * z, x * y, y * z, z * x;
+    }
+    const Eigen::Matrix<double, 27, 10> q = shapes.householderQr().householderQ() * Eigen::Matrix<double, 27, 10>::Identity();
+    return Eigen::Matrix<double, 27, 27>::Identity() - q * q.transpose();
+}
 
 }  // namespace
 
 Equilibrium::Equilibrium(std::shared_ptr<const TotalLagrangian<double>> model) : model_(std::move(model)) {
     const Geometry& g = model_->geometry();
-    if (g.row_count() == 0) {
+    if (std::none_of(g.row_hold.begin(), g.row_hold.end(), [](std::int32_t hold) { return hold >= 0; })) {
         throw std::invalid_argument("a shape in equilibrium must be held somewhere: this object has no hold");
     }
     const Assembly a{*model_};
@@ -61,23 +77,38 @@ Equilibrium::Equilibrium(std::shared_ptr<const TotalLagrangian<double>> model) :
         }
     }
     unknown_ = Eigen::VectorXd::Zero(n);
-    // The hold's rows and the nodes that they tie come first: their block needs the pivoting.
+    // The hold's rows and the nodes that they hold come first, a joint's rows and nodes together: their
+    // block needs the pivoting.
     std::vector<int> start;
-    for (int i = first_row; i < n; ++i) {
-        start.push_back(i);
-    }
     std::vector<bool> tied(3 * model_->node_count(), false);
-    for (const std::int32_t node : a.constraint_node()) {
+    std::map<std::int32_t, std::vector<int>> joints;
+    for (std::size_t r = 0; r < g.row_count(); ++r) {
+        const bool joint = g.row_hold[r] < 0;
+        std::vector<int>& rows = joint ? joints[g.row_hold[r]] : start;
         for (int c = 0; c < 3; ++c) {
-            tied[static_cast<std::size_t>(3 * node + c)] = true;
+            rows.push_back(first_row + 3 * static_cast<int>(r) + c);
         }
+        for (int w = g.row_begin[r]; w < g.row_begin[r + 1]; ++w) {
+            for (int c = 0; c < 3; ++c) {
+                const int node = 3 * a.constraint_node()[static_cast<std::size_t>(w)] + c;
+                if (joint) {
+                    rows.push_back(node);
+                } else {
+                    tied[static_cast<std::size_t>(node)] = true;
+                }
+            }
+        }
+    }
+    std::vector<std::vector<int>> together;
+    for (auto& [joint, unknowns] : joints) {
+        together.push_back(std::move(unknowns));
     }
     for (int i = 0; i < first_row; ++i) {
         if (tied[static_cast<std::size_t>(i)]) {
             start.push_back(i);
         }
     }
-    solver_.analyse(matrix_, start);
+    solver_.analyse(matrix_, start, together);
 }
 
 void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::VectorXd& residual) {
@@ -88,6 +119,7 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
     const std::vector<D> uniforms = uniforms_at_rest<D>(a.slots(), value);
     const std::vector<P> plain = uniforms_at_rest<P>(a.slots(), [&](std::size_t i) { return fields_.effect[i]; });
     residual.setZero(unknown_.size());
+    const Eigen::Matrix<double, 27, 27> stiff = unseen_stiffness * g.spacing[0] * beside_polynomials();
     if (matrix) {
         // The constraint's entries stay; only the blocks' are summed again.
         for (const std::int32_t k : position_) {
@@ -148,6 +180,19 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
                     sum += sigma[i][j] * table.by_node[na][j];
                 }
                 residual[n + i] += sum_lanes<double>(volume * sum);
+            }
+        }
+        // Of the same sign as the map's stiffness, and the same whatever the parameters are: see below.
+        for (int na = 0; na < 27; ++na) {
+            const int n = 3 * node_of<double>(a.rows(b), na);
+            for (int nb = 0; nb < 27; ++nb) {
+                const int m = 3 * node_of<double>(a.rows(b), nb);
+                for (int i = 0; i < 3; ++i) {
+                    residual[n + i] -= stiff(na, nb) * w[static_cast<std::size_t>(m + i)];
+                    if (matrix) {
+                        matrix_.valuePtr()[position_[b * 81 * 81 + static_cast<std::size_t>((3 * nb + i) * 81 + 3 * na + i)]] -= stiff(na, nb);
+                    }
+                }
             }
         }
     }

@@ -102,8 +102,10 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
                 }
                 n = next++;
                 const int index[3] = {i + grid_low_[0], j + grid_low_[1], k + grid_low_[2]};
+                const int standing[3] = {g.standing(index[0]), index[1], index[2]};
                 for (std::size_t c = 0; c < 3; ++c) {
-                    node_positions_.push_back(g.origin[c] + index[c] * g.spacing[c]);
+                    node_index_.push_back(index[c]);
+                    node_positions_.push_back(g.origin[c] + standing[c] * g.spacing[c]);
                 }
             }
         }
@@ -115,9 +117,10 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
     std::map<std::vector<std::int64_t>, std::int32_t> known;
     const auto table_key = [&](const double* points, const std::int32_t* cell, double (&s)[8][3]) {
         std::vector<std::int64_t> key;
+        const int standing[3] = {g.standing(cell[0]), cell[1], cell[2]};
         for (int q = 0; q < 8; ++q) {
             for (std::size_t c = 0; c < 3; ++c) {
-                s[q][c] = (points[static_cast<std::size_t>(q) * 3 + c] - g.origin[c]) / g.spacing[c] - cell[c];
+                s[q][c] = (points[static_cast<std::size_t>(q) * 3 + c] - g.origin[c]) / g.spacing[c] - standing[c];
                 key.push_back(std::llround(s[q][c] * 1e12));
             }
         }
@@ -201,10 +204,14 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
     }
 
     // Constraint rows: from grid indices to node numbers.
+    for (const std::int32_t hold : g.row_hold) {
+        require(hold < g.hold_count,
+                "hold " + std::to_string(hold) + " does not exist: hold_count is " + std::to_string(g.hold_count));
+    }
     require(g.row_begin.size() == g.row_count() + 1 || g.row_count() == 0, "row_begin must have one entry more than there are rows");
     for (std::size_t w = 0; w < g.row_weight.size(); ++w) {
         const int n = find_node(g.row_node[3 * w], g.row_node[3 * w + 1], g.row_node[3 * w + 2]);
-        require(n >= 0, "a hold is attached to a node without material");
+        require(n >= 0, "a hold or tie is attached to a node without material");
         constraint_node_.push_back(n);
     }
 }
@@ -217,8 +224,9 @@ PointWeights TotalLagrangian<T>::weights(const std::vector<double>& points, cons
     for (std::size_t p = 0; p < points.size() / 3; ++p) {
         const std::array<std::int32_t, 9> rows = rows_of(&cell[3 * p]);
         double s[3], n[27], dn[27][3];
+        const int standing[3] = {geometry_.standing(cell[3 * p]), cell[3 * p + 1], cell[3 * p + 2]};
         for (std::size_t c = 0; c < 3; ++c) {
-            s[c] = (points[3 * p + c] - geometry_.origin[c]) / spacing[c] - cell[3 * p + c];
+            s[c] = (points[3 * p + c] - geometry_.origin[c]) / spacing[c] - standing[c];
         }
         point_weights(s, spacing, n, dn);
         for (int a = 0; a < 27; ++a) {

@@ -14,6 +14,7 @@ struct BarOptions {
     int cells[3] = {2, 2, 5};
     bool held = true;
     bool held_along_top = false;  // else at the bottom
+    bool two_grids = false;        // one for each part, tied where they meet
     double young[2] = {1e6, 4e5};  // of the lower and the upper part [Pa]
     double density = 1000;         // [kg/m^3]
 };
@@ -41,6 +42,59 @@ inline void hold_plane(Geometry& g, const BarOptions& o, int cell, double s) {
                                                      g.origin[2] + (cell + s) * g.spacing[2]});
             g.row_hold.push_back(hold);
         }
+    }
+}
+
+/// Gives each part a grid of its own and ties them over the face between them: force, torque and saddle.
+inline void part_grids(Geometry& g, const BarOptions& o) {
+    g.grid_width = o.cells[0] + 6;
+    const int below = (o.cells[2] + 1) / 2 - 1;  // the uppermost layer of the lower part
+    const auto numbered = [&](int i, bool upper) { return i + 1 + (upper ? g.grid_width : 0); };
+    g.origin[0] -= g.spacing[0];
+    const auto renumber = [&](std::vector<std::int32_t>& cells) {
+        for (std::size_t k = 0; k < cells.size(); k += 3) {
+            cells[k] = numbered(cells[k], cells[k + 2] > below);
+        }
+    };
+    renumber(g.cell);
+    renumber(g.surface_cell);
+    renumber(g.place_cell);
+    const bool from_top = o.held_along_top;
+    for (std::size_t k = 0; k < g.row_node.size(); k += 3) {
+        g.row_node[k] = numbered(g.row_node[k], from_top);
+    }
+    if (g.row_begin.empty()) {
+        g.row_begin.push_back(0);
+    }
+    for (int pattern = 0; pattern < 4; ++pattern) {
+        for (int side = 0; side < 2; ++side) {
+            const SplineWeights<double> across = spline_weights(side == 0 ? 0.5 : -0.5);
+            for (int i = -1; i <= o.cells[0]; ++i) {
+                for (int j = -1; j <= o.cells[1]; ++j) {
+                    double sum = 0;  // over two Gauss points a cell and axis
+                    for (int p = 0; p < 4 * o.cells[0] * o.cells[1]; ++p) {
+                        const double gauss = 0.5 / std::sqrt(3.0);
+                        const int ci = p / 4 / o.cells[1], cj = p / 4 % o.cells[1];
+                        const double si = p & 2 ? gauss : -gauss, sj = p & 1 ? gauss : -gauss;
+                        if (std::abs(i - ci) > 1 || std::abs(j - cj) > 1) {
+                            continue;
+                        }
+                        const double x = ci + si - 0.5 * (o.cells[0] - 1), y = cj + sj - 0.5 * (o.cells[1] - 1);
+                        const double shape[4] = {1.0, x, y, x * y};
+                        sum += shape[pattern] * spline_weights(si).value[i - ci + 1] * spline_weights(sj).value[j - cj + 1];
+                    }
+                    for (int k = 0; k < 3; ++k) {
+                        if (across.value[k] != 0) {
+                            g.row_node.insert(g.row_node.end(), {numbered(i, side == 1), j, below + side + k - 1});
+                            g.row_weight.push_back((side == 0 ? 1.0 : -1.0) * sum * across.value[k] / (4 * o.cells[0] * o.cells[1]));
+                        }
+                    }
+                }
+            }
+        }
+        g.row_begin.push_back(static_cast<std::int32_t>(g.row_weight.size()));
+        g.row_target.insert(g.row_target.end(), {0.0, 0.0, 0.0});
+        g.row_hold.push_back(-1);
     }
 }
 
@@ -90,6 +144,9 @@ inline Geometry bar_geometry(const BarOptions& o) {
         } else {
             hold_plane(g, o, 0, -0.5);
         }
+    }
+    if (o.two_grids) {
+        part_grids(g, o);
     }
     return g;
 }

@@ -83,6 +83,24 @@ TEST(Constraint, NoComplianceIsTheLimitOfASmallOne) {
     }
 }
 
+TEST(Constraint, ATieStaysClosedBesideACompliantHold) {
+    test::Random random(6);
+    Example e(random);
+    e.geometry.row_hold[5] = -1;
+    const Constraint c(e.geometry, e.node, e.inverse_mass);
+    const double dt = 1e-3, compliance = 2e-3;
+    const std::vector<double> v = random.numbers(12, -1, 1);
+    std::vector<double> b(6), lambda(6), reached(6), force(2);
+    c.apply(v.data(), b.data());
+    c.solve(b.data(), compliance / (dt * dt), lambda.data());
+    c.apply(after(e, c, v, lambda).data(), reached.data());
+    EXPECT_NEAR(reached[5], 0.0, 1e-12);
+    EXPECT_GT(std::abs(reached[4]), 1e-3);
+    c.sum_per_hold(lambda.data(), force.data());
+    EXPECT_NEAR(force[1], lambda[3] + lambda[4], 1e-15);  // the tie pulls at no hold
+    EXPECT_GT(std::abs(lambda[5]), 0.0);
+}
+
 TEST(Constraint, RowsThatDependOnEachOtherAreHeldTogether) {
     test::Random random(4);
     Example e(random);

@@ -21,6 +21,7 @@ struct Case {
     std::vector<int> effects;
     Law law = Law::neo_hookean;
     bool prestressed = true;
+    bool two_grids = false;
 };
 
 void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
@@ -37,6 +38,8 @@ std::vector<Case> cases() {
     }
     all.push_back({"every_effect_together", every});
     all.push_back({"every_effect_stress_free", every, Law::fixed_corotated, false});
+    all.push_back({"none_on_two_grids", {}, Law::neo_hookean, true, true});
+    all.push_back({"every_effect_on_two_grids", every, Law::neo_hookean, true, true});
     return all;
 }
 
@@ -46,7 +49,9 @@ class Gradient : public testing::TestWithParam<Case> {
         Settings settings;
         settings.law = GetParam().law;
         settings.active = test::only_active(GetParam().effects);
-        test::Bar b = test::make_bar({}, schedule, settings);
+        test::BarOptions options;
+        options.two_grids = GetParam().two_grids;
+        test::Bar b = test::make_bar(options, schedule, settings);
         test::stir(b, 21);
         if (!GetParam().prestressed) {
             b.fields.deformation0.clear();

@@ -121,9 +121,9 @@ def test_two_materials_in_series() -> None:
     errors = []
     for spacing in (0.01, 0.005):
         errors.append(static_displacement(capture, belief, spacing)[:, 0] / [joint, tip] - 1.0)
-    # The strain jumps fourfold at the joint; smooth splines spread that over a cell: first order.
-    assert (np.abs(errors[0]) < 4e-2).all(), errors
-    np.testing.assert_allclose(np.log2(errors[0] / errors[1]), 1.0, atol=0.15)
+    # The strain jumps fourfold at the joint. One spline over it would spread that over a cell (4 % on the
+    # coarse grid); a grid for each part does not.
+    assert (np.abs(errors) < 1e-3).all(), errors
 
 
 def test_a_known_viscosity_gives_the_known_decay() -> None:

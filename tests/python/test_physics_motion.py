@@ -54,7 +54,7 @@ class Rollout:
     def deformation(self) -> np.ndarray:
         """(F + 1, N, 3, 3) at the quadrature points."""
         q = self.body.quadrature
-        node, _, gradient = self.model.weights(q.points.reshape(-1, 3), np.repeat(q.cell, 8, axis=0))
+        node, _, gradient = self.model.weights(q.points.reshape(-1, 3), self.body.point_cell)
         return np.einsum("tmkc,mkj->tmcj", self.displacement[:, node], gradient) + np.eye(3)
 
     def elastic_energy(self) -> np.ndarray:

@@ -47,7 +47,9 @@ def test_a_clock_one_frame_late_shows_the_next_frame_to_the_last(predictor: Pred
     assert (step > 1e-4).all(), "the last frame should not stand still"
 
 
-def test_between_frames_a_late_clock_shows_what_finer_frames_do(predictor: Predictor) -> None:
+def test_between_frames_a_late_clock_shows_what_finer_frames_do(
+    predictor: Predictor, monkeypatch: pytest.MonkeyPatch
+) -> None:
     times = np.arange(2 * FRAMES) / (2 * FPS)
     fine = replace(predictor.recording, fps=2 * FPS, frames=2 * FRAMES, held=tuple(
         replace(
@@ -60,6 +62,9 @@ def test_between_frames_a_late_clock_shows_what_finer_frames_do(predictor: Predi
     shape = (2 * FRAMES, *fine.markers.position.shape[1:])
     fine = replace(fine, markers=replace(fine.markers, position=np.zeros(shape)))
     other = Predictor(predictor.capture, fine, predictor.settings)
+    # Of the same substep, which half a frame has to hold a whole number of.
+    for one in (predictor, other):
+        monkeypatch.setattr(one, "stable_substep", lambda _belief: 1.0001 / (26 * FPS))
     exact = other.predict(soft_belief(predictor.capture)).position[1:-2:2]
     seen = predictor.predict(late(predictor, 0.5), last=FRAMES - 1).position
     still = predictor.predict(soft_belief(predictor.capture), last=FRAMES - 1).position

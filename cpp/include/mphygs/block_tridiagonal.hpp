@@ -4,7 +4,7 @@
 // neighbours; the matrix is then block tridiagonal and is factorised with dense kernels:
 //   D_i <- D_i - L_i D_(i-1)^-1 U_(i-1).
 // Pivoting stays inside a block, which is enough for stiffness matrices with their constraints in
-// the first levels. Stems, leaves and beams have levels of a few hundred unknowns.
+// the first levels, or in one level with all that they tie. Stems, leaves and beams have levels of a few hundred unknowns.
 #pragma once
 
 #include <Eigen/Dense>
@@ -17,7 +17,9 @@ class BlockTridiagonal {
   public:
     /// Levels of a matrix with a symmetric pattern, starting at the given unknowns; unknowns that
     /// are not connected to them start levels of their own.
-    void analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<int>& start);
+    /// together: groups of unknowns; the rest of a group enters the level in which its first one stands.
+    void analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<int>& start,
+                 const std::vector<std::vector<int>>& together = {});
     /// False where a block is singular.
     bool factorise(const Eigen::SparseMatrix<double>& matrix);
     Eigen::VectorXd solve(const Eigen::VectorXd& right) const;

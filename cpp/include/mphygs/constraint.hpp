@@ -1,4 +1,4 @@
-// Holds as linear constraints on node displacements, C u = hold, solved every substep.
+// Holds and ties as linear constraints on node displacements, C u = hold or 0, solved every substep.
 //
 // The face of a held body is imposed where it is: on a plane z = z0 the spline's trace has the
 // coefficients sum_k N_k(z0) u_ijk, and a rigid motion is reproduced when each equals the motion

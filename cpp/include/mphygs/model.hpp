@@ -22,6 +22,9 @@ struct SimulationError : std::runtime_error {
 struct Geometry {
     std::array<double, 3> origin{};   // of node (0, 0, 0) [m]
     std::array<double, 3> spacing{};  // [m]
+    // Parts may have grids of their own, side by side in one numbering: node (i + k grid_width, j, l) of
+    // grid k stands where node (i, j, l) does, for i in [0, grid_width). 0: one grid for all.
+    int grid_width = 0;
     std::vector<std::int32_t> cell;   // (B, 3) knot span of each block
     std::vector<std::int32_t> part;   // (B,)
     std::vector<double> points;       // (B, 8, 3) [m]
@@ -30,12 +33,12 @@ struct Geometry {
     std::vector<double> surface_area;        // (S, 8) [m^2], 0 pads
     std::vector<std::int32_t> place_cell;    // (P, 3) knot span of each place of a point or mass effect
     std::vector<double> places;              // (P, 3) [m]
-    // Holds: rows of the constraint sum_k weight_k u_k = motion of the hold at `target`.
+    // Holds: rows of the constraint sum_k weight_k u_k = motion of the hold at `target`; ties of grids: = 0.
     std::vector<std::int32_t> row_begin;   // (R + 1,)
     std::vector<std::int32_t> row_node;    // (W, 3) node index on the grid
     std::vector<double> row_weight;        // (W,)
     std::vector<double> row_target;        // (R, 3) [m]
-    std::vector<std::int32_t> row_hold;    // (R,)
+    std::vector<std::int32_t> row_hold;    // (R,), -1 - j: of the j-th joint's tie, which moves with no hold
     int hold_count = 0;
     int part_count = 1;
 
@@ -43,6 +46,8 @@ struct Geometry {
     std::size_t surface_count() const { return surface_cell.size() / 3; }
     std::size_t place_count() const { return places.size() / 3; }
     std::size_t row_count() const { return row_hold.size(); }
+    /// Along the first axis, where a cell or node of any grid stands.
+    int standing(int i) const { return grid_width > 0 ? ((i % grid_width) + grid_width) % grid_width : i; }
 };
 
 /// How it is integrated.

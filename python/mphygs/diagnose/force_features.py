@@ -80,7 +80,7 @@ class PointMotion:
         predictor, motion = found.seen.forced.predictor, found.motion
         body, model = predictor.body, found.seen.forced.model(motion.belief)
         q = body.quadrature
-        node, weight, slope = model.weights(q.points.reshape(-1, 3), np.repeat(q.cell, 8, axis=0))
+        node, weight, slope = model.weights(q.points.reshape(-1, 3), body.point_cell)
         frames = len(motion.timeline.frames)
         u, v = (_midway(a, frames) for a in (motion.displacement, motion.velocity))
         mass = primal(motion.belief, body)["mass"].ravel()

@@ -35,7 +35,7 @@ class SeenForce:
         """span: first and last frame + 1."""
         forced = ForcedSequence(predictor, span[1])
         q, model = predictor.body.quadrature, forced.model(belief)
-        node, weight, _ = model.weights(q.points.reshape(-1, 3), np.repeat(q.cell, 8, axis=0))
+        node, weight, _ = model.weights(q.points.reshape(-1, 3), predictor.body.point_cell)
         mass = primal(belief, predictor.body)["mass"]
         moving = forced.timeline(belief).moving
         basis = force_basis(predictor.body, mass, node, weight, model.node_count, moving)

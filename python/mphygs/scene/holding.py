@@ -22,13 +22,14 @@ class HoldFace(NamedTuple):
     """One face of a hold's box, where material crosses it.
 
     axis: the face is square to it; coordinate: along that axis [m]; points: (n, 3), on the face [m];
-    area: (n,), what each point stands for [m^2].
+    area: (n,), what each point stands for [m^2]; part: (n,), the first part that goes on there.
     """
 
     axis: int
     coordinate: float
     points: np.ndarray
     area: np.ndarray
+    part: np.ndarray
 
 
 def hold_face(
@@ -61,11 +62,13 @@ def hold_face(
             points[:, axis] = box[end, axis]
             step = np.zeros(3)
             step[axis] = outward * _PROBE * spacing
-            crossed = _in_any(parts, points - step) & _in_any(parts, points + step)
+            owner = _owner(parts, points + step)
+            crossed = (_owner(parts, points - step) >= 0) & (owner >= 0)
             for other in others:
                 crossed &= ~np.all((points + step > other[0]) & (points + step < other[1]), axis=1)
             if crossed.any():
-                faces.append(HoldFace(axis, float(box[end, axis]), points[crossed], area[crossed]))
+                coordinate = float(box[end, axis])
+                faces.append(HoldFace(axis, coordinate, points[crossed], area[crossed], owner[crossed]))
     return faces
 
 
@@ -92,8 +95,10 @@ def _grid(
     return points, np.outer(strips[0].width, strips[1].width).ravel()
 
 
-def _in_any(parts: Sequence[Part], points: np.ndarray) -> np.ndarray:
-    found = np.zeros(len(points), dtype=bool)
-    for part in parts:
-        found |= inside(part, points)
+def _owner(parts: Sequence[Part], points: np.ndarray) -> np.ndarray:
+    """(n,) the first part that has each point, -1 where none does."""
+    found = np.full(len(points), -1)
+    for number, part in enumerate(parts):
+        asked = np.flatnonzero(found < 0)
+        found[asked[inside(part, points[asked])]] = number
     return found

@@ -2,18 +2,21 @@
 
 from mphygs.scene.closest import MaterialAnchor, closest_material
 from mphygs.scene.holding import HoldFace, hold_face
+from mphygs.scene.joints import Joint, find_joints
 from mphygs.scene.quadrature import Quadrature, fill
 from mphygs.scene.rays import inside
 from mphygs.scene.surface import SurfaceSamples, exposed_surface
 
 __all__ = [
     "HoldFace",
+    "Joint",
     "MaterialAnchor",
     "Quadrature",
     "SurfaceSamples",
     "closest_material",
     "exposed_surface",
     "fill",
+    "find_joints",
     "hold_face",
     "inside",
 ]

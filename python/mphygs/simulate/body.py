@@ -6,12 +6,20 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mphygs import _core
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence
-from mphygs.scene.particles import Quadrature, closest_material, exposed_surface, fill, hold_face
+from mphygs.scene.particles import (
+    Quadrature,
+    closest_material,
+    exposed_surface,
+    fill,
+    hold_face,
+)
 from mphygs.scene.slivers import merge_slivers
+from mphygs.simulate.rows import constraint_rows
 
 LANES = 8
 # Cells filled less than this hand their material to a neighbour.
@@ -22,8 +30,8 @@ SMALLEST_SHARE = 0.1
 class Attachment:
     """Points carried by the body: x = anchor + sum N_a u_a + R offset, or rigidly by a hold.
 
-    anchor: (M, 3) [m]; offset: (M, 3) [m]; cell: (M, 3) knot span; hold: (M,) index of the hold that
-    carries the point, -1 for points carried by the material.
+    anchor: (M, 3) [m]; offset: (M, 3) [m]; cell: (M, 3) knot span on the part's grid; hold: (M,) index of
+    the hold that carries the point, -1 for points carried by the material.
     """
 
     anchor: np.ndarray
@@ -37,7 +45,8 @@ class Attachment:
 class Body:
     """One object at one spacing under one set of hold boxes.
 
-    geometry: arrays for the core; quadrature: its points; centroid: (P, 3) of every part [m];
+    geometry: arrays for the core, cells and nodes numbered over the grids of all parts; quadrature: its
+    points, cells as they stand in space; centroid: (P, 3) of every part [m];
     places: (K, 3) material points that effects at a place may use [m]; turn: of the sequence (see
     `mphygs.capture.record.Sequence`).
     """
@@ -66,7 +75,7 @@ class Body:
     @property
     def held_points(self) -> np.ndarray:
         """(R, 3) places on the faces where holds grip [m]."""
-        return self.geometry["row_target"]
+        return self.geometry["row_target"][self.geometry["row_hold"] >= 0]
 
     @property
     def transfer(self) -> str:
@@ -78,20 +87,51 @@ class Body:
         """(B, 8) part index of every point."""
         return np.repeat(self.quadrature.part[:, None], LANES, axis=1)
 
+    @property
+    def point_cell(self) -> np.ndarray:
+        """(8 B, 3) knot span of every point on its part's grid."""
+        return np.repeat(self.geometry["cell"], LANES, axis=0)
+
+    def on_grid(self, cell: np.ndarray, part: np.ndarray | int) -> np.ndarray:
+        """Cells or nodes (..., 3) as they stand in space, numbered on the grid of a part."""
+        numbered = np.array(cell)
+        numbered[..., 0] += np.asarray(part) * self.geometry.get("grid_width", 0)
+        return numbered
+
     @cached_property
-    def active_cells(self) -> np.ndarray:
-        """(C, 3) knot spans that hold material, unique."""
-        return np.unique(self.quadrature.cell, axis=0)
+    def cells_of_part(self) -> dict[int, np.ndarray]:
+        """(C, 3) unique knot spans that hold material of each part with any, as they stand in space."""
+        q = self.quadrature
+        return {int(p): np.unique(q.cell[q.part == p], axis=0) for p in np.unique(q.part)}
 
-    def nearest_cell(self, points: np.ndarray) -> np.ndarray:
-        """Knot span with material nearest to each point. points: (M, 3) [m] -> (M, 3) int32.
+    def nearest_cell(self, points: np.ndarray, part: np.ndarray | None = None) -> np.ndarray:
+        """Knot span with material nearest to each point, on its part's grid.
 
-        A point beside the material (on the surface, in a cell whose sliver was dropped) is carried by
-        the polynomial of the nearest cell.
+        points: (M, 3) [m]; part: (M,) whose material carries each point, the nearest if not given ->
+        (M, 3) int32. A point beside the material (on the surface, in a cell whose sliver was dropped) is
+        carried by the polynomial of the nearest cell. Where all of a part is held, any other part serves.
         """
-        spacing, origin = self.quadrature.spacing, self.quadrature.origin
-        cells = self.active_cells
-        position = (points - origin) / spacing
+        cells = self.cells_of_part
+        if len(cells) == 1:
+            part = np.full(len(points), next(iter(cells)))
+        elif part is None:
+            part = closest_material(self.parts, points).part
+        else:
+            part = np.asarray(part)
+        lost = ~np.isin(part, list(cells))
+        if lost.any():
+            nearest = cKDTree(self.quadrature.points.reshape(-1, 3)).query(points[lost])[1]
+            part = part.copy()
+            part[lost] = self.quadrature.part[nearest // LANES]
+        result = np.empty((len(points), 3), np.int32)
+        for p in np.unique(part):
+            mine = part == p
+            result[mine] = self.on_grid(self.nearest_of(cells[int(p)], points[mine]), p)
+        return result
+
+    def nearest_of(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """The nearest of some cells (C, 3), as they stand in space, to each point."""
+        position = (points - self.quadrature.origin) / self.quadrature.spacing
         result = np.empty((len(points), 3), np.int32)
         for start in range(0, len(points), 2048):
             chunk = position[start : start + 2048]
@@ -121,7 +161,7 @@ class Body:
         hold = np.full(len(points), -1)
         for index, box in enumerate(self.boxes):
             hold[((anchor >= box[0] - 1e-9) & (anchor <= box[1] + 1e-9)).all(1)] = index
-        return Attachment(anchor, offset, self.nearest_cell(anchor), hold, part)
+        return Attachment(anchor, offset, self.nearest_cell(anchor, part), hold, part)
 
 
 def hold_boxes(sequence: Sequence) -> np.ndarray:
@@ -164,17 +204,23 @@ def discretise(
             for p, part in enumerate(parts)
         ]
     )
+    # Every part has a grid of its own: one spline over a joint of stiff and soft would stiffen the soft side
+    # for a spacing around. Beyond its nodes two columns stay free, so that no stencil reaches the next grid.
+    width = int(quadrature.node_shape[0]) + 2 if len(parts) > 1 else 0
+    numbered = quadrature.cell.copy()
+    numbered[:, 0] += quadrature.part * width
     geometry = {
         "origin": quadrature.origin,
         "spacing": quadrature.spacing,
-        "cell": quadrature.cell,
+        "grid_width": width,
+        "cell": numbered,
         "part": quadrature.part,
         "points": quadrature.points,
         "part_count": len(parts),
     }
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
     geometry.update(_surface(body, boxes, spacing))
-    geometry.update(_constraints(body, faces))
+    geometry.update(constraint_rows(body, faces))
     if places is not None and len(places):
         geometry["places"] = np.asarray(places, float)
         geometry["place_cell"] = body.nearest_cell(np.asarray(places, float))
@@ -190,9 +236,11 @@ def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
     samples = exposed_surface(body.parts, max_edge=spacing / 2, exclude_boxes=boxes if len(boxes) else None)
     if not len(samples.area):
         return {}
-    cells, block = np.unique(body.nearest_cell(samples.points), axis=0, return_inverse=True)
+    cells, block = np.unique(
+        body.nearest_cell(samples.points, samples.part), axis=0, return_inverse=True
+    )
     block = block.ravel()
-    centre = body.quadrature.origin + cells * body.quadrature.spacing
+    centre = body.quadrature.origin + _standing(body, cells) * body.quadrature.spacing
     octant = (samples.points > centre[block]) @ np.array([4, 2, 1])
     lane = block * LANES + octant
     area = np.bincount(lane, samples.area, minlength=LANES * len(cells))
@@ -206,78 +254,10 @@ def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
     }
 
 
-def _spline(s: float) -> np.ndarray:
-    return np.array([0.5 * (0.5 - s) ** 2, 0.75 - s * s, 0.5 * (0.5 + s) ** 2])
-
-
-def _constraints(body: Body, faces: list) -> dict:
-    """Rows of the holds: the trace of the spline on every held face moves with the hold.
-
-    On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
-    is reproduced when each coefficient equals the motion of its Greville point, the column's place
-    in the plane.
-    """
-    q = body.quadrature
-    nodes = {tuple(c + d) for c in body.active_cells for d in np.indices((3, 3, 3)).reshape(3, -1).T - 1}
-    begin, node, weight, target, hold = [0], [], [], [], []
-    for index, group in enumerate(faces):
-        rows = 0
-        for face in group:
-            across = [a for a in range(3) if a != face.axis]
-            position = (face.points - q.origin) / q.spacing
-            base = np.rint(position).astype(int)
-            height = (face.coordinate - q.origin[face.axis]) / q.spacing[face.axis]
-            share: dict[tuple[int, int], float] = {}
-            for p, b, area in zip(position, base, face.area, strict=True):
-                w0, w1 = _spline(p[across[0]] - b[across[0]]), _spline(p[across[1]] - b[across[1]])
-                for i in range(3):
-                    for j in range(3):
-                        key = (b[across[0]] + i - 1, b[across[1]] + j - 1)
-                        share[key] = share.get(key, 0.0) + area * w0[i] * w1[j]
-            full = q.spacing[across[0]] * q.spacing[across[1]]
-            for key, area in sorted(share.items()):
-                if area < 1e-4 * full:
-                    continue
-                stencil = _column(nodes, face.axis, across, key, height)
-                if stencil is None:
-                    continue
-                span, column = stencil
-                node += column
-                weight += _spline(height - span).tolist()
-                begin.append(len(weight))
-                greville = np.empty(3)
-                greville[face.axis] = face.coordinate
-                greville[across] = q.origin[across] + np.array(key) * q.spacing[across]
-                target.append(greville)
-                hold.append(index)
-                rows += 1
-        if rows == 0:
-            raise ValueError(
-                f"hold {index}: its box {body.boxes[index].tolist()} has no face with free material "
-                "beyond it, expected a box that holds a part of the object and leaves the rest free"
-            )
-    return {
-        "row_begin": np.array(begin, np.int32),
-        "row_node": np.array(node, np.int32).reshape(-1, 3),
-        "row_weight": np.array(weight, float),
-        "row_target": np.array(target, float).reshape(-1, 3),
-        "row_hold": np.array(hold, np.int32),
-        "hold_count": len(faces),
-    }
-
-
-def _column(nodes: set, axis: int, across: list[int], key: tuple[int, int], height: float) -> tuple | None:
-    """The span along `axis` nearest to `height` whose three nodes carry material, and these nodes."""
-    nearest = round(height)
-    for span in sorted(range(nearest - 1, nearest + 2), key=lambda s: abs(s - height)):
-        column = []
-        for k in (span - 1, span, span + 1):
-            index = [0, 0, 0]
-            index[axis], index[across[0]], index[across[1]] = k, key[0], key[1]
-            column.append(tuple(index))
-        if all(c in nodes for c in column):
-            return span, column
-    return None
+def _standing(body: Body, cells: np.ndarray) -> np.ndarray:
+    """Cells (C, 3) on the parts' grids, as they stand in space."""
+    width = body.geometry["grid_width"]
+    return np.column_stack([cells[:, 0] % width, cells[:, 1:]]) if width else cells
 
 
 def with_places(body: Body, spots: np.ndarray) -> Body:

@@ -86,7 +86,7 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
         _, *found = model.tangent(fields, directions, one, None, hook)
         return np.array([(run[1][1] - run[1][0]) / PROBE for run in found])
 
-    index = np.rint((model.node_positions - body.quadrature.origin) / body.quadrature.spacing).astype(int)
+    index = model.node_index
     stiffness = _stiffness(accelerations, mass, index)
     shape, squared = _lowest(stiffness, mass, _hold_rows(body, index), count)
     slowed = accelerations([{"velocity0": s} for s in np.moveaxis(shape, -1, 0)])
@@ -157,9 +157,9 @@ def _stiffness(
 
 
 def _hold_rows(body: Body, index: np.ndarray) -> csc_matrix:
-    """(R, N) weights of the nodes that every held column of them fixes."""
+    """(R, N) weights of the nodes that every held column of them fixes and every joint ties."""
     geometry = body.geometry
-    if not geometry.get("hold_count"):
+    if not len(geometry["row_hold"]):
         return csc_matrix((0, len(index)))
     number = {tuple(i): n for n, i in enumerate(index)}
     begin = geometry["row_begin"]

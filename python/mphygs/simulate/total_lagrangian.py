@@ -55,7 +55,7 @@ class TotalLagrangian(Transfer):
     def load_share(self, load: Load) -> np.ndarray:
         q, model = self.body.quadrature, self._plain()
         inside, share = self.body.inside(load.box)
-        node, value, _ = model.weights(q.points.reshape(-1, 3)[inside], np.repeat(q.cell, 8, axis=0)[inside])
+        node, value, _ = model.weights(q.points.reshape(-1, 3)[inside], self.body.point_cell[inside])
         per_node = np.zeros(model.node_count)
         np.add.at(per_node, node.ravel(), (value * share[:, None]).ravel())
         return per_node
@@ -88,11 +88,12 @@ class TotalLagrangian(Transfer):
         ]
 
     def admissible(self, start: Start, carried: Carried) -> Start:
-        """By the least change of the nodes that puts the trace on every held face where its hold is."""
+        """By the least change of the nodes that puts the trace on every held face where its hold is and
+        closes the joints between parts."""
         g = self.body.geometry
         if not len(g["row_hold"]):
             return start
-        grid = np.rint((self.places_at_rest() - g["origin"]) / g["spacing"]).astype(int)
+        grid = self._plain().node_index
         number = {tuple(index): k for k, index in enumerate(grid)}
         rows = np.zeros((len(g["row_hold"]), len(grid)))
         owner = np.repeat(np.arange(len(rows)), np.diff(g["row_begin"]))
@@ -145,7 +146,7 @@ class TotalLagrangian(Transfer):
 
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
         q = self.body.quadrature
-        node, _, gradient = self._plain().weights(q.points.reshape(-1, 3), np.repeat(q.cell, 8, axis=0))
+        node, _, gradient = self._plain().weights(q.points.reshape(-1, 3), self.body.point_cell)
         start = np.broadcast_to(np.eye(3), (len(node), 3, 3))
         if belief.prestress == "equilibrium":
             start = self.prestressed(belief)["deformation0"].reshape(-1, 3, 3, 8)

@@ -39,6 +39,7 @@ class TotalLagrangian {
 
     std::size_t node_count() const { return node_positions_.size() / 3; }
     const std::vector<double>& node_positions() const { return node_positions_; }  // (N, 3) [m]
+    const std::vector<std::int32_t>& node_index() const { return node_index_; }    // (N, 3) on the grids
     const Geometry& geometry() const { return geometry_; }
     const Settings& settings() const { return settings_; }
     /// Threads of the next runs; the results do not depend on it. Not while one is under way.
@@ -101,6 +102,7 @@ class TotalLagrangian {
     Slots slots_;
     ActiveSites sites_;
     std::vector<double> node_positions_;
+    std::vector<std::int32_t> node_index_;
     std::vector<std::int32_t> node_of_grid_;  // node number of a grid index, -1 where there is none
     std::array<int, 3> grid_shape_{};
     std::array<int, 3> grid_low_{};

@@ -203,6 +203,9 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
                 inverse_mass_bar_[static_cast<std::size_t>(node)] -= y * static_cast<double>(vbar[node]);
             });
             for (std::size_t k = 0; k < rows; ++k) {
+                if (g.row_hold[k] < 0) {
+                    continue;
+                }
                 const std::size_t hold = static_cast<std::size_t>(g.row_hold[k]);
                 double* pose = &pose_bar_[(hold * pose_steps + static_cast<std::size_t>(n) + 1) * 12];
                 pose[9 + c] += q[k] / dt;

@@ -418,20 +418,25 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
                 constraint_[0].apply(v, b.data());
                 constraint_[0].apply(u_.data() + at(l, c, 0), held.data());
                 for (std::size_t r = 0; r < rows; ++r) {
-                    const std::size_t h = static_cast<std::size_t>(g.row_hold[r]);
-                    double target = pose(l, h, n + 1, 9 + c);
-                    for (std::size_t k = 0; k < 3; ++k) {
-                        target += pose(l, h, n + 1, 3 * c + k) * g.row_target[3 * r + k];
-                    }
-                    if (l == 0) {
-                        target -= g.row_target[3 * r + c];
+                    double target = 0;
+                    if (g.row_hold[r] >= 0) {
+                        const std::size_t h = static_cast<std::size_t>(g.row_hold[r]);
+                        target = pose(l, h, n + 1, 9 + c);
+                        for (std::size_t k = 0; k < 3; ++k) {
+                            target += pose(l, h, n + 1, 3 * c + k) * g.row_target[3 * r + k];
+                        }
+                        if (l == 0) {
+                            target -= g.row_target[3 * r + c];
+                        }
                     }
                     b[r] -= (target - held[r]) / dt;
                 }
                 if (l > 0 && lane_of(compliance_, l) != T{}) {
                     constraint_[0].sum_per_hold(&lambda_rows_[c * rows], sums.data());
                     for (std::size_t r = 0; r < rows; ++r) {
-                        b[r] -= static_cast<double>(lane_of(compliance_, l)) / (dt * dt) * sums[static_cast<std::size_t>(g.row_hold[r])];
+                        if (g.row_hold[r] >= 0) {
+                            b[r] -= static_cast<double>(lane_of(compliance_, l)) / (dt * dt) * sums[static_cast<std::size_t>(g.row_hold[r])];
+                        }
                     }
                 }
                 constraint_[0].solve(b.data(), softness, solution.data());

@@ -1,0 +1,128 @@
+"""Rows of the constraint: what holds the object, and what ties the grids of its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mphygs.scene.particles import HoldFace, find_joints
+from mphygs.simulate.ties import tie_rows
+
+if TYPE_CHECKING:
+    from mphygs.simulate.body import Body
+
+
+def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]]) -> dict:
+    """Rows of the holds: the trace of the spline on every held face moves with the hold.
+
+    On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
+    is reproduced when each coefficient equals the motion of its Greville point, the column's place
+    in the plane. Below them the rows that tie the parts' grids, numbered -1, -2, ... by joint in `row_hold`.
+
+    faces: of every hold (see `hold_face`). Raises ValueError where a hold touches no free material.
+    """
+    q = body.quadrature
+    steps = np.indices((3, 3, 3)).reshape(3, -1).T - 1
+    nodes_of = {p: {tuple(c + d) for c in cells for d in steps} for p, cells in body.cells_of_part.items()}
+    begin, node, weight, target, hold = [0], [], [], [], []
+    for index, group in enumerate(faces):
+        rows = 0
+        for face, part in ((f, p) for f in group for p in nodes_of if (f.part == p).any()):
+            nodes, mine = nodes_of[part], face.part == part
+            across = [a for a in range(3) if a != face.axis]
+            position = (face.points[mine] - q.origin) / q.spacing
+            base = np.rint(position).astype(int)
+            height = (face.coordinate - q.origin[face.axis]) / q.spacing[face.axis]
+            share: dict[tuple[int, int], float] = {}
+            for p, b, area in zip(position, base, face.area[mine], strict=True):
+                w0, w1 = _spline(p[across[0]] - b[across[0]]), _spline(p[across[1]] - b[across[1]])
+                for i in range(3):
+                    for j in range(3):
+                        key = (b[across[0]] + i - 1, b[across[1]] + j - 1)
+                        share[key] = share.get(key, 0.0) + area * w0[i] * w1[j]
+            full = q.spacing[across[0]] * q.spacing[across[1]]
+            for key, area in sorted(share.items()):
+                if area < 1e-4 * full:
+                    continue
+                stencil = _column(nodes, face.axis, across, key, height)
+                if stencil is None:
+                    continue
+                span, column = stencil
+                node += body.on_grid(column, part).tolist()
+                weight += _spline(height - span).tolist()
+                begin.append(len(weight))
+                greville = np.empty(3)
+                greville[face.axis] = face.coordinate
+                greville[across] = q.origin[across] + np.array(key) * q.spacing[across]
+                target.append(greville)
+                hold.append(index)
+                rows += 1
+        if rows == 0:
+            raise ValueError(
+                f"hold {index}: its box {body.boxes[index].tolist()} has no face with free material "
+                "beyond it, expected a box that holds a part of the object and leaves the rest free"
+            )
+    for joint, nodes, values in _ties(body, faces):
+        node += nodes.tolist()
+        weight += values.tolist()
+        begin.append(len(weight))
+        target.append(np.zeros(3))
+        hold.append(-1 - joint)
+    return {
+        "row_begin": np.array(begin, np.int32),
+        "row_node": np.array(node, np.int32).reshape(-1, 3),
+        "row_weight": np.array(weight, float),
+        "row_target": np.array(target, float).reshape(-1, 3),
+        "row_hold": np.array(hold, np.int32),
+        "hold_count": len(faces),
+    }
+
+
+def _ties(body: Body, faces: Sequence[Sequence[HoldFace]]) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Rows of the joints between parts that both have free material."""
+    q, cells = body.quadrature, body.cells_of_part
+    if len(cells) < 2:
+        return []
+    grounded = sorted({int(p) for group in faces for face in group for p in face.part} & set(cells))
+    joints = [
+        joint
+        for joint in find_joints(
+            body.parts,
+            spacing=float(q.spacing[0]),
+            exclude_boxes=body.boxes if len(body.boxes) else None,
+            grounded=grounded,
+        )
+        if set(joint.parts) <= set(cells)
+    ]
+    weights = [tuple(_carried_by(body, joint.points, p) for p in joint.parts) for joint in joints]
+    return tie_rows(joints, weights, float(q.spacing[0]))
+
+
+def _carried_by(body: Body, points: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (Q, 27, 3) on a part's grid and shares (Q, 27) that carry points (Q, 3) as its material."""
+    q = body.quadrature
+    cell = body.nearest_of(body.cells_of_part[part], points)
+    x, y, z = np.moveaxis(_spline((points - q.origin) / q.spacing - cell), 2, 0)  # each (3, Q)
+    shares = np.einsum("iq,jq,kq->qijk", x, y, z).reshape(-1, 27)
+    nodes = cell[:, None] + np.indices((3, 3, 3)).reshape(3, -1).T - 1
+    return body.on_grid(nodes, part), shares
+
+
+def _column(nodes: set, axis: int, across: list[int], key: tuple[int, int], height: float) -> tuple | None:
+    """The span along `axis` nearest to `height` whose three nodes carry material, and these nodes."""
+    nearest = round(height)
+    for span in sorted(range(nearest - 1, nearest + 2), key=lambda s: abs(s - height)):
+        column = []
+        for k in (span - 1, span, span + 1):
+            index = [0, 0, 0]
+            index[axis], index[across[0]], index[across[1]] = k, key[0], key[1]
+            column.append(tuple(index))
+        if all(c in nodes for c in column):
+            return span, column
+    return None
+
+
+def _spline(s: np.ndarray | float) -> np.ndarray:
+    return np.array([0.5 * (0.5 - s) ** 2, 0.75 - s * s, 0.5 * (0.5 + s) ** 2])
