@@ -8,17 +8,22 @@ Constraint::Constraint(const Geometry& g, const std::vector<std::int32_t>& node,
     : rows_(g.row_count()),
       holds_(static_cast<std::size_t>(g.hold_count)),
       begin_(g.row_begin.begin(), g.row_begin.end()),
-      node_(node),
+      nodes_(node),
       hold_(g.row_hold),
       weight_(g.row_weight) {
     if (rows_ == 0) {
         return;
     }
+    std::sort(nodes_.begin(), nodes_.end());
+    nodes_.erase(std::unique(nodes_.begin(), nodes_.end()), nodes_.end());
+    for (const std::int32_t n : node) {
+        place_.push_back(static_cast<std::size_t>(std::lower_bound(nodes_.begin(), nodes_.end(), n) - nodes_.begin()));
+    }
     const Eigen::Index n = static_cast<Eigen::Index>(rows_);
     Eigen::MatrixXd c = Eigen::MatrixXd::Zero(n, static_cast<Eigen::Index>(inverse_mass.size()));
     for (std::size_t r = 0; r < rows_; ++r) {
         for (std::size_t w = begin_[r]; w < begin_[r + 1]; ++w) {
-            c(static_cast<Eigen::Index>(r), node_[w]) += weight_[w];
+            c(static_cast<Eigen::Index>(r), node[w]) += weight_[w];
         }
     }
     const Eigen::Map<const Eigen::VectorXd> m(inverse_mass.data(), static_cast<Eigen::Index>(inverse_mass.size()));
@@ -55,30 +60,20 @@ void Constraint::sum_per_hold(const double* x, double* result) const {
     }
 }
 
-void Constraint::solve(const double* b, double softness, double* lambda) const {
-    for (std::size_t r = 0; r < rows_; ++r) {
-        double sum = 0;
-        const double* row = &inverse_[r * rows_];
-        for (std::size_t s = 0; s < rows_; ++s) {
-            sum += row[s] * b[s];
-        }
-        lambda[r] = sum;
-    }
-    if (softness == 0.0 || holds_ == 0) {
-        return;
-    }
+void Constraint::give_way(double softness, int columns, double* lambda) const {
     // Woodbury: (A + s U U^T)^-1 b = A^-1 b - A^-1 U (1/s + U^T A^-1 U)^-1 U^T A^-1 b.
-    const Eigen::Index h = static_cast<Eigen::Index>(holds_);
+    using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    const Eigen::Index h = static_cast<Eigen::Index>(holds_), n = static_cast<Eigen::Index>(rows_);
     Eigen::MatrixXd core = Eigen::Map<const Eigen::MatrixXd>(hold_gram_.data(), h, h);
     core.diagonal().array() += 1.0 / softness;
-    Eigen::VectorXd sums(h);
-    sum_per_hold(lambda, sums.data());
-    const Eigen::VectorXd y = core.ldlt().solve(sums);
-    for (std::size_t k = 0; k < holds_; ++k) {
-        for (std::size_t r = 0; r < rows_; ++r) {
-            lambda[r] -= inverse_ones_[k * rows_ + r] * y(static_cast<Eigen::Index>(k));
+    Eigen::Map<Rows> x(lambda, n, columns);
+    Eigen::MatrixXd sums = Eigen::MatrixXd::Zero(h, columns);
+    for (std::size_t r = 0; r < rows_; ++r) {
+        if (hold_[r] >= 0) {
+            sums.row(hold_[r]) += x.row(static_cast<Eigen::Index>(r));
         }
     }
+    x -= Eigen::Map<const Eigen::MatrixXd>(inverse_ones_.data(), n, h) * core.ldlt().solve(sums);
 }
 
 }  // namespace mphygs

@@ -27,9 +27,23 @@ struct Example {
     }
 };
 
+/// C v
+void apply(const Constraint& c, const std::vector<double>& v, std::vector<double>& result) {
+    std::vector<double> held;
+    for (const std::int32_t n : c.nodes()) {
+        held.push_back(v[static_cast<std::size_t>(n)]);
+    }
+    c.apply<1>(held.data(), result.data());
+}
+
 /// v - M^-1 C^T lambda
 std::vector<double> after(const Example& e, const Constraint& c, std::vector<double> v, const std::vector<double>& lambda) {
-    c.transposed(lambda.data(), [&](std::int32_t n, double y) { v[static_cast<std::size_t>(n)] -= e.inverse_mass[static_cast<std::size_t>(n)] * y; });
+    std::vector<double> pull(c.nodes().size());
+    c.transposed<1>(lambda.data(), pull.data());
+    for (std::size_t k = 0; k < pull.size(); ++k) {
+        const std::size_t n = static_cast<std::size_t>(c.nodes()[k]);
+        v[n] -= e.inverse_mass[n] * pull[k];
+    }
     return v;
 }
 
@@ -40,12 +54,12 @@ TEST(Constraint, ARigidHoldReachesItsTarget) {
     ASSERT_EQ(c.row_count(), 6u);
     const std::vector<double> v = random.numbers(12, -1, 1), target = random.numbers(6, -1, 1);
     std::vector<double> b(6), lambda(6), reached(6);
-    c.apply(v.data(), b.data());
+    apply(c, v, b);
     for (std::size_t r = 0; r < 6; ++r) {
         b[r] -= target[r];
     }
-    c.solve(b.data(), 0.0, lambda.data());
-    c.apply(after(e, c, v, lambda).data(), reached.data());
+    c.solve<1>(b.data(), 0.0, lambda.data());
+    apply(c, after(e, c, v, lambda), reached);
     for (std::size_t r = 0; r < 6; ++r) {
         EXPECT_NEAR(reached[r], target[r], 1e-13);
     }
@@ -58,9 +72,9 @@ TEST(Constraint, ACompliantHoldGivesWayByItsComplianceTimesItsForce) {
     const double dt = 1e-3, compliance = 2e-3;
     const std::vector<double> v = random.numbers(12, -1, 1);
     std::vector<double> b(6), lambda(6), reached(6), force(2);
-    c.apply(v.data(), b.data());  // target velocity zero
-    c.solve(b.data(), compliance / (dt * dt), lambda.data());
-    c.apply(after(e, c, v, lambda).data(), reached.data());
+    apply(c, v, b);  // target velocity zero
+    c.solve<1>(b.data(), compliance / (dt * dt), lambda.data());
+    apply(c, after(e, c, v, lambda), reached);
     c.sum_per_hold(lambda.data(), force.data());
     for (std::size_t r = 0; r < 6; ++r) {
         const double displacement = dt * reached[r];                      // of the hold, in this substep
@@ -76,8 +90,8 @@ TEST(Constraint, NoComplianceIsTheLimitOfASmallOne) {
     const Constraint c(e.geometry, e.node, e.inverse_mass);
     const std::vector<double> b = random.numbers(6, -1, 1);
     std::vector<double> rigid(6), soft(6);
-    c.solve(b.data(), 0.0, rigid.data());
-    c.solve(b.data(), 1e-9, soft.data());
+    c.solve<1>(b.data(), 0.0, rigid.data());
+    c.solve<1>(b.data(), 1e-9, soft.data());
     for (std::size_t r = 0; r < 6; ++r) {
         EXPECT_NEAR(soft[r], rigid[r], 1e-7);
     }
@@ -91,9 +105,9 @@ TEST(Constraint, ATieStaysClosedBesideACompliantHold) {
     const double dt = 1e-3, compliance = 2e-3;
     const std::vector<double> v = random.numbers(12, -1, 1);
     std::vector<double> b(6), lambda(6), reached(6), force(2);
-    c.apply(v.data(), b.data());
-    c.solve(b.data(), compliance / (dt * dt), lambda.data());
-    c.apply(after(e, c, v, lambda).data(), reached.data());
+    apply(c, v, b);
+    c.solve<1>(b.data(), compliance / (dt * dt), lambda.data());
+    apply(c, after(e, c, v, lambda), reached);
     EXPECT_NEAR(reached[5], 0.0, 1e-12);
     EXPECT_GT(std::abs(reached[4]), 1e-3);
     c.sum_per_hold(lambda.data(), force.data());
@@ -112,9 +126,9 @@ TEST(Constraint, RowsThatDependOnEachOtherAreHeldTogether) {
     const Constraint c(e.geometry, e.node, e.inverse_mass);
     const std::vector<double> v = random.numbers(12, -1, 1);
     std::vector<double> b(6), lambda(6), reached(6);
-    c.apply(v.data(), b.data());
-    c.solve(b.data(), 0.0, lambda.data());
-    c.apply(after(e, c, v, lambda).data(), reached.data());
+    apply(c, v, b);
+    c.solve<1>(b.data(), 0.0, lambda.data());
+    apply(c, after(e, c, v, lambda), reached);
     for (std::size_t r = 0; r < 6; ++r) {
         EXPECT_NEAR(reached[r], 0.0, 1e-10);
     }
@@ -127,19 +141,23 @@ TEST(Constraint, TransposedIsTheTransposeOfApply) {
     const Constraint c(e.geometry, e.node, e.inverse_mass);
     const std::vector<double> x = random.numbers(12, -1, 1), y = random.numbers(6, -1, 1);
     std::vector<double> cx(6);
-    c.apply(x.data(), cx.data());
+    apply(c, x, cx);
     double left = 0, right = 0;
     for (std::size_t r = 0; r < 6; ++r) {
         left += cx[r] * y[r];
     }
-    c.transposed(y.data(), [&](std::int32_t n, double z) { right += x[static_cast<std::size_t>(n)] * z; });
+    std::vector<double> pull(c.nodes().size());
+    c.transposed<1>(y.data(), pull.data());
+    for (std::size_t k = 0; k < pull.size(); ++k) {
+        right += x[static_cast<std::size_t>(c.nodes()[k])] * pull[k];
+    }
     EXPECT_NEAR(left, right, 1e-14);
 }
 
 TEST(Constraint, WithoutRowsThereIsNothingToSolve) {
     const Constraint c(Geometry{}, {}, {1.0, 2.0});
     EXPECT_EQ(c.row_count(), 0u);
-    c.solve(nullptr, 1.0, nullptr);
+    c.solve<1>(nullptr, 1.0, nullptr);
 }
 
 }  // namespace

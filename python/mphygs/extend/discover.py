@@ -15,6 +15,7 @@ from mphygs.diagnose.rank import Ranking, rank
 from mphygs.extend.anew import anew
 from mphygs.extend.exchange import exchanged
 from mphygs.extend.grids import polished, probed, refined, with_budget
+from mphygs.extend.narrow import narrowed
 from mphygs.extend.prune import pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
@@ -258,6 +259,7 @@ def discover(
         if steps[-1].added and not known_budget(steps[-1]):
             coarser = screening_spacing(experiment.capture)
             steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
+        steps[-1] = narrowed(experiment, steps[-1], report)
     return _conclude(steps, rankings, warnings)
 
 

@@ -184,37 +184,49 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         const Geometry& g = model_.geometry_;
         const double softness = static_cast<double>(run_.compliance_) / (dt * dt);
         const std::size_t pose_steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
-        std::vector<T> weighted(run_.stride_);
-        std::vector<double> s(rows), q(rows), sums(static_cast<std::size_t>(g.hold_count)), carried(sums.size());
+        const std::vector<std::int32_t>& nodes = constraint.nodes();
+        constexpr int N = 4;  // the components, in a whole pack
+        std::vector<double> at_nodes(nodes.size() * N), s(rows * N), q(rows * N), reaction(rows * N);
         for (std::size_t c = 0; c < 3; ++c) {
-            T* vbar = vbar_.data() + c * run_.stride_;
-            T* ubar = ubar_.data() + c * run_.stride_;
-            for (std::size_t i = 0; i < weighted.size(); ++i) {
-                weighted[i] = run_.inverse_mass_[i] * vbar[i];
+            for (std::size_t k = 0; k < nodes.size(); ++k) {
+                const std::size_t node = static_cast<std::size_t>(nodes[k]);
+                at_nodes[N * k + c] = static_cast<double>(run_.inverse_mass_[node] * vbar_[c * run_.stride_ + node]);
             }
-            constraint.apply(weighted.data(), s.data());
-            constraint.solve(s.data(), softness, q.data());
-            constraint.transposed(q.data(), [&](std::int32_t node, double y) {
-                vbar[node] -= static_cast<T>(y);
-                ubar[node] -= static_cast<T>(y / dt);
-            });
-            const double* lambda = &r.reactions[c * rows];
-            constraint.transposed(lambda, [&](std::int32_t node, double y) {
-                inverse_mass_bar_[static_cast<std::size_t>(node)] -= y * static_cast<double>(vbar[node]);
-            });
             for (std::size_t k = 0; k < rows; ++k) {
+                reaction[N * k + c] = r.reactions[c * rows + k];
+            }
+        }
+        constraint.template apply<N>(at_nodes.data(), s.data());
+        constraint.template solve<N>(s.data(), softness, q.data());
+        constraint.template transposed<N>(q.data(), at_nodes.data());
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < nodes.size(); ++k) {
+                const std::size_t i = c * run_.stride_ + static_cast<std::size_t>(nodes[k]);
+                vbar_[i] -= static_cast<T>(at_nodes[N * k + c]);
+                ubar_[i] -= static_cast<T>(at_nodes[N * k + c] / dt);
+            }
+        }
+        constraint.template transposed<N>(reaction.data(), at_nodes.data());
+        std::vector<double> sums(static_cast<std::size_t>(g.hold_count)), carried(sums.size()), column(rows);
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < nodes.size(); ++k) {
+                const std::size_t node = static_cast<std::size_t>(nodes[k]);
+                inverse_mass_bar_[node] -= at_nodes[N * k + c] * static_cast<double>(vbar_[c * run_.stride_ + node]);
+            }
+            for (std::size_t k = 0; k < rows; ++k) {
+                column[k] = q[N * k + c];
                 if (g.row_hold[k] < 0) {
                     continue;
                 }
                 const std::size_t hold = static_cast<std::size_t>(g.row_hold[k]);
                 double* pose = &pose_bar_[(hold * pose_steps + static_cast<std::size_t>(n) + 1) * 12];
-                pose[9 + c] += q[k] / dt;
+                pose[9 + c] += column[k] / dt;
                 for (std::size_t j = 0; j < 3; ++j) {
-                    pose[3 * c + j] += q[k] / dt * g.row_target[3 * k + j];
+                    pose[3 * c + j] += column[k] / dt * g.row_target[3 * k + j];
                 }
             }
-            constraint.sum_per_hold(q.data(), sums.data());
-            constraint.sum_per_hold(lambda, carried.data());
+            constraint.sum_per_hold(column.data(), sums.data());
+            constraint.sum_per_hold(&r.reactions[c * rows], carried.data());
             for (std::size_t k = 0; k < sums.size(); ++k) {
                 compliance_bar_ += sums[k] * carried[k] / (dt * dt);
             }

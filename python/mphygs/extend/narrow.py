@@ -1,0 +1,92 @@
+"""An effect whose further parameters are not told from zero, held against the simpler one that it then is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mphygs.extend.finer import compared_again, lent
+from mphygs.extend.step import Step
+from mphygs.extend.steps import uncertainty
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
+from mphygs.simulate.errors import SimulationError
+
+# Effects that are another one where some of their parameters are zero: that one, and these parameters.
+SPECIAL = {"wind": ("air_drag", ("w_x", "w_y", "w_z"))}
+# In standard errors: further from zero than this, a parameter has been told from it.
+TOLD = 3.0
+ITERATIONS, REFITTED = 6, 1e-3
+
+
+def narrowed(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
+    """The step with the simpler effect where that explains the motion too, the wider one tied with it.
+
+    Asked of a model that explains the motion. Where the simpler effect does not, it is one of the ties:
+    numbers that may be zero do not tell the two apart.
+    """
+    if not step.explained:
+        return step
+    for wide, (simple, further) in SPECIAL.items():
+        effects = step.belief.effects
+        if wide not in effects or simple in effects or not _untold(experiment, step, wide, further):
+            continue
+        after = _with(experiment, step, wide, simple, report)
+        if after is None or not after.explained:
+            step = replace(step, ties=tuple(dict.fromkeys((*step.ties, simple))))
+            continue
+        if report:
+            report(
+                f"{wide} with numbers that may all be zero: {simple} explains the motion too, "
+                f"{step.assessment.worst:.3f} -> {after.assessment.worst:.3f} sigma in the worst range"
+            )
+        step = after
+    return step
+
+
+def _untold(experiment: Experiment, step: Step, name: str, further: tuple[str, ...]) -> bool:
+    """Whether all these parameters of an effect are within `TOLD` standard errors of zero."""
+    std = np.sqrt(np.diag(uncertainty(step, experiment).covariance))
+    told = {p.key: (p.coordinate, s) for p, s in zip(step.belief.free, std, strict=True)}
+    keys = [f"{name}.{parameter}" for parameter in further]
+    return all(key in told and abs(told[key][0]) <= TOLD * told[key][1] for key in keys)
+
+
+def _with(
+    experiment: Experiment, step: Step, wide: str, simple: str, report: Callable[[str], None] | None
+) -> Step | None:
+    """The step with `simple` in the place of `wide`, None where that cannot be simulated."""
+    ties = tuple(name for name in (wide, *step.ties) if name != simple)
+    added = tuple(simple if name == wide else name for name in step.added)
+    changes = {
+        "added": added if simple in added else (*added, simple),
+        "ties": tuple(dict.fromkeys(ties)),
+        "dropped": (*step.dropped, wide),
+    }
+    belief = _narrower(step.belief, wide, simple)
+    try:
+        if step.lender is not None:
+            begun = replace(step, belief=belief)
+            after = lent(experiment, begun, step.spacing, step.lender, report)
+            return after and replace(after, **changes)
+        solution = minimise(
+            experiment.problem(step.spacing),
+            belief,
+            iterations=ITERATIONS,
+            relative_tolerance=REFITTED,
+        )
+        compared = compared_again(experiment, step, solution.belief)
+    except SimulationError:
+        return None
+    return step.refitted(solution, compared, experiment.assess(compared), **changes)
+
+
+def _narrower(belief: Belief, wide: str, simple: str) -> Belief:
+    """The belief with `simple` in the place of `wide`, its parameters where those of the same name were."""
+    found = {p.key.rsplit(".", 1)[1]: p.value for p in belief.parameters if p.key.startswith(f"{wide}.")}
+    kept = {p.name: found[p.name] for p in effect(simple).parameters if p.name in found}
+    return belief.without_effect(wide).with_effect(simple, kept)
