@@ -36,9 +36,10 @@ def test_where_parts_overlap_the_joint_is_the_surface_of_the_earlier_one() -> No
     assert other.area.sum() == pytest.approx(0.006**2 + 4 * 0.006 * 0.0117, rel=0.05)
 
 
-def test_a_thin_sheet_is_found_and_two_places_are_two_joints() -> None:
+@pytest.mark.parametrize("second", [0.0048, 0.021], ids=["beside the first", "far from it"])
+def test_a_thin_sheet_is_found_and_two_sheets_have_two_joints(second: float) -> None:
     ball = box([0.0, 0.0, 0.0], [0.03, 0.03, 0.02])
-    sheets = [box([x, 0.01, 0.02], [x + 3e-4, 0.02, 0.04]) for x in (0.004, 0.021)]
+    sheets = [box([x, 0.01, 0.02], [x + 3e-4, 0.02, 0.04]) for x in (0.004, second)]
     both = Solid(
         "sheets",
         np.concatenate([s.vertices for s in sheets]),
@@ -48,6 +49,27 @@ def test_a_thin_sheet_is_found_and_two_places_are_two_joints() -> None:
     assert [j.parts for j in joints] == [(0, 1), (0, 1)]
     for joint in joints:
         assert joint.area.sum() == pytest.approx(3e-4 * 0.01, rel=0.25)
+
+
+def test_one_shell_that_touches_in_two_places_has_two_joints() -> None:
+    # A block upon a step at its end and a ledge at the other: one mesh, two faces.
+    block = box([0.0, 0.0, 0.01], [0.04, 0.01, 0.02])
+    feet = [box([0.0, 0.0, 0.0], [0.01, 0.01, 0.01]), box([0.03, 0.0, 0.0], [0.04, 0.01, 0.01])]
+    joints = find_joints([block, *feet], spacing=SPACING)
+    assert [j.parts for j in joints] == [(0, 1), (0, 2)]
+    bar = box([-0.01, 0.002, 0.002], [0.05, 0.008, 0.008])  # goes through both feet, owned by them
+    through = find_joints([feet[0], feet[1], bar], spacing=SPACING)
+    assert sorted(j.parts for j in through) == [(0, 2), (0, 2), (1, 2), (1, 2)]
+
+
+def test_a_part_with_a_hole_inside_is_one_piece() -> None:
+    shell = trimesh.creation.box(extents=[0.03] * 3)
+    hole = trimesh.creation.box(extents=[0.01] * 3)
+    hole.invert()
+    hollow = solid(trimesh.util.concatenate([shell, hole]))
+    core = box([-0.005] * 3, [0.005] * 3)
+    (joint,) = find_joints([hollow, core], spacing=SPACING)
+    assert joint.area.sum() == pytest.approx(6 * 0.01**2, rel=0.05)
 
 
 def test_what_is_held_has_no_joint() -> None:

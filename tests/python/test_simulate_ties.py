@@ -51,6 +51,16 @@ def test_a_thin_joint_keeps_its_torque_and_a_flat_one_has_no_height() -> None:
     assert np.linalg.norm(height - found @ (found.T @ (weight * height))) > 0.9 * np.linalg.norm(height)
 
 
+def test_a_long_thin_joint_is_bent_by_no_part_of_it() -> None:
+    joint = flat(0.03, 2e-4)
+    weight = joint.area / joint.area.sum()
+    found = patterns(joint, SPACING)
+    # The turn about the joint's line where one of its ends turns and the other does not.
+    turn = np.maximum(joint.points[:, 0], 0.0) * joint.points[:, 1]
+    left = turn - found @ (found.T @ (weight * turn))
+    assert np.linalg.norm(left) < 0.2 * np.linalg.norm(turn)
+
+
 def test_rows_vanish_for_every_linear_displacement() -> None:
     capture = bar_capture(lengths=(0.034, 0.029))
     body = discretise(capture, hold_boxes(capture.sequences[0]), SPACING)

@@ -191,7 +191,8 @@ def _search(
             square + 1e-6 * np.diag(np.diag(square)) + 1e-12 * np.trace(square) * np.eye(count)
         )
         axes = np.sqrt(unit) * np.linalg.inv(root).T
-    objective = Objective(partial(cost_and_gradient, problem), belief, unit, axes)
+    # The adjoint's cost of the same belief differs in the last digit: the start's own is the one to beat.
+    objective = Objective(partial(cost_and_gradient, problem), belief, unit, axes, start, belief.coordinates)
     point = torch.zeros(count, dtype=torch.float64, requires_grad=True)
     rate = LEARNING_RATES[method] if learning_rate is None else learning_rate
     schedule = None

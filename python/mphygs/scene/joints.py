@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -60,12 +60,18 @@ def find_joints(
     if not (np.isfinite(spacing) and spacing > 0.0):
         raise ValueError(f"spacing: got {spacing}, expected a positive length in metres")
     pairs = [(a, b) for a in range(len(parts)) for b in range(a + 1, len(parts))]
-    found = {pair: _between(parts, *pair, boxes, spacing, TOUCHING * spacing) for pair in pairs}
+    pieces = [_pieces(part) for part in parts]
+
+    def between(a: int, b: int, reach: float) -> list[Joint]:
+        both = [(one, other) for one in pieces[a] for other in pieces[b]]
+        return [j for pair in both for j in _between(parts, (a, b), pair, boxes, spacing, reach)]
+
+    found = {pair: between(*pair, TOUCHING * spacing) for pair in pairs}
     for gap in GAPS:
         loose = _loose(len(parts), found, grounded)
         for a, b in pairs:
             if not found[a, b] and loose[a] != loose[b] and 0 in (loose[a], loose[b]):
-                found[a, b] = _between(parts, a, b, boxes, spacing, gap * spacing)
+                found[a, b] = between(a, b, gap * spacing)
     return [joint for pair in pairs for joint in found[pair]]
 
 
@@ -79,10 +85,35 @@ def _loose(count: int, found: dict[tuple[int, int], list[Joint]], grounded: Sequ
     return np.where(label == label[ground[0]], 0, label + 1)
 
 
+class _Piece(NamedTuple):
+    """A connected piece of a part's mesh: the petals of a ring may be one part."""
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+def _pieces(part: Part) -> list[_Piece]:
+    faces, count = part.faces, len(part.vertices)
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
+    label = connected_components(graph, directed=False)[1][faces[:, 0]]
+    found = [_Piece(part.name, part.vertices, faces[label == k]) for k in np.unique(label)]
+    # A hole inside is no piece of its own.
+    return [_used(piece) for piece in found] if all(mesh_volume(p) > 0.0 for p in found) else [_used(part)]
+
+
+def _used(piece: _Piece | Part) -> _Piece:
+    """The piece without vertices that it does not use, which would count in its bounds."""
+    kept, index = np.unique(piece.faces, return_inverse=True)
+    return _Piece(piece.name, piece.vertices[kept], index.reshape(piece.faces.shape))
+
+
 def _between(
-    parts: Sequence[Part], first: int, second: int, boxes: np.ndarray, spacing: float, reach: float
-) -> list[Joint]:
-    one, other = parts[first], parts[second]
+    parts: Sequence[Part], pair: tuple[int, int], pieces: tuple[_Piece, _Piece], boxes: np.ndarray,
+    spacing: float, reach: float,
+) -> list[Joint]:  # fmt: skip
+    (first, second), (one, other) = pair, pieces
     low, high = other.vertices.min(0) - reach, other.vertices.max(0) + reach
     corners = one.vertices[one.faces]
     near = ((corners.max(1) >= low) & (corners.min(1) <= high)).all(1)
@@ -118,7 +149,7 @@ def _between(
     ]
 
 
-def _thickness(part: Part) -> float:
+def _thickness(part: _Piece) -> float:
     """Twice the volume over the surface: the thickness of a sheet [m]."""
     corners = part.vertices[part.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -126,7 +157,7 @@ def _thickness(part: Part) -> float:
 
 
 def _covered(
-    triangles: np.ndarray, other: Part, longest: float, shortest: float, reach: float
+    triangles: np.ndarray, other: _Piece, longest: float, shortest: float, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centroids, areas and normals of the pieces of triangles (T, 3, 3) outside of which `other` begins.
 

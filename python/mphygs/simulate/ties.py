@@ -12,6 +12,8 @@ from mphygs.scene.particles import Joint
 # Patterns finer than this many spacings are left to the parts' own stiffness: to tie every value of two
 # splines of one spacing would stiffen the joint.
 HAT = 2.0
+# A side below so many spacings, in standard deviations, is thin: along it the hats do not change.
+THIN = 0.15
 # A further pattern counts where this share of its square is not in those before it.
 LEAST_NEW = 1e-2
 # Of a joint's longest side, squared: its height counts where it is not nearly flat, its width always.
@@ -22,7 +24,8 @@ def patterns(joint: Joint, spacing: float) -> np.ndarray:
     """(Q, K) values of the patterns, orthonormal with the weights area / sum of area.
 
     The moments of order 0 and 1 carry the joint's force and its torque, the mixed ones of order 2 its saddle;
-    hats two spacings wide, one of them in the middle, follow where it is larger than they.
+    hats two spacings wide, one of them in the middle, follow where it is larger than they, by themselves and
+    times the distance across a thin side, which bends a sheet.
     """
     weight = joint.area / joint.area.sum()
     arm = joint.points - weight @ joint.points
@@ -38,7 +41,11 @@ def patterns(joint: Joint, spacing: float) -> np.ndarray:
     mixed = np.stack([arm[:, a] * arm[:, b] for a, b in combinations(range(3), 2)], axis=1)
     if len(linear) > 1:
         kept = _extended(kept, mixed, weight)
-    return np.stack(_extended(kept, _hats(arm, spacing), weight), axis=1)
+    hats = _hats(arm, spacing)
+    kept = _extended(kept, hats, weight)
+    for k in np.flatnonzero(used & across & (square < (THIN * spacing) ** 2)):
+        kept = _extended(kept, hats * (arm @ axes[:, k] / np.sqrt(square[k]))[:, None], weight)
+    return np.stack(kept, axis=1)
 
 
 def _hats(arm: np.ndarray, spacing: float) -> np.ndarray:
