@@ -133,12 +133,12 @@ class Body:
         """The nearest of some cells (C, 3), as they stand in space, to each point."""
         position = (points - self.quadrature.origin) / self.quadrature.spacing
         result = np.empty((len(points), 3), np.int32)
-        for start in range(0, len(points), 2048):
-            chunk = position[start : start + 2048]
+        for start in range(0, len(points), 512):
+            chunk = position[start : start + 512]
             # Distance to the span itself, not to its centre; ties go to the nearer centre.
             gap = np.abs(chunk[:, None] - cells[None])
             distance = (np.maximum(gap - 0.5, 0.0) ** 2).sum(-1) + 1e-6 * (gap**2).sum(-1)
-            result[start : start + 2048] = cells[distance.argmin(1)]
+            result[start : start + 512] = cells[distance.argmin(1)]
         return result
 
     def inside(self, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

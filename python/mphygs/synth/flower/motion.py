@@ -34,8 +34,6 @@ SETTLING_ROUNDS, SETTLED_SPEED = 16, 2e-4
 USUAL_ROUNDS = 4
 # Effects that shape the flower before anything is recorded, beside those that load it.
 SHAPING = ("fibre", "stiffening", "compressibility", "stiffness_gradient", "density_gradient")
-# Vertices whose cells are looked for at once.
-_VERTICES = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +69,8 @@ class TrueMotion:
         )
         self.vertices = np.concatenate([part.vertices for part in flower.shape.parts])
         self._held = self._in_hold(self.vertices)
-        self._node, self._value = self._weights(self.vertices)
+        counts = [len(part.vertices) for part in flower.shape.parts]
+        self._node, self._value = self._weights(self.vertices, np.repeat(np.arange(len(counts)), counts))
 
     @property
     def blocks(self) -> int:
@@ -159,12 +158,10 @@ class TrueMotion:
         box = self._recipe.shape.hold
         return ((points >= box[0] - 1e-9) & (points <= box[1] + 1e-9)).all(axis=1)
 
-    def _weights(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes (M, 27) and shares (M, 27) that carry material points (M, 3)."""
+    def _weights(self, points: np.ndarray, part: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes (M, 27) and shares (M, 27) that carry material points (M, 3) of parts (M,), if given."""
         model = self._predictor.model((), np.zeros((0, 3)), self._belief.law)
-        pieces = [points[k : k + _VERTICES] for k in range(0, len(points), _VERTICES)]
-        cells = np.concatenate([self._predictor.body.nearest_cell(piece) for piece in pieces])
-        node, value, _ = model.weights(points, cells)
+        node, value, _ = model.weights(points, self._predictor.body.nearest_cell(points, part))
         return node, value
 
     def _moved(self, nodal: np.ndarray) -> np.ndarray:
