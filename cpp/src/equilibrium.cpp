@@ -14,8 +14,11 @@ namespace {
 // matrix, and with that one, that another one may.
 constexpr double enough_to_keep = 0.1, enough_to_go_on = 0.3;
 
-// Of the material whose stiffness holds the shapes of a cell that its eight points cannot see [Pa].
-constexpr double unseen_stiffness = 0.05;
+// Of the material whose stiffness holds the shapes of a cell that its eight points cannot see [Pa]. What these springs
+// carry nothing carries in motion, so they are as soft as Newton's method can do with: where it does not get there
+// at once, it goes from stiff to soft.
+constexpr double softest = 1e-5, stiff_to_soft[] = {0.05, 1e-3, 1e-4, softest};
+constexpr int iterations_at_once = 12;
 
 using P = Pack<double>;
 
@@ -119,7 +122,7 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
     const std::vector<D> uniforms = uniforms_at_rest<D>(a.slots(), value);
     const std::vector<P> plain = uniforms_at_rest<P>(a.slots(), [&](std::size_t i) { return fields_.effect[i]; });
     residual.setZero(unknown_.size());
-    const Eigen::Matrix<double, 27, 27> stiff = unseen_stiffness * g.spacing[0] * beside_polynomials();
+    const Eigen::Matrix<double, 27, 27> stiff = unseen_ * g.spacing[0] * beside_polynomials();
     if (matrix) {
         // The constraint's entries stay; only the blocks' are summed again.
         for (const std::int32_t k : position_) {
@@ -271,11 +274,53 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
     fields_ = fields;
     volume_ = volume;
     load_ = load;
-    w_ = start.empty() ? std::vector<double>(nodes, 0.0) : start;
-    if (start.empty()) {
-        unknown_.setZero();  // the hold's forces too: what was solved before must not show
-    }
+    const auto begin = [&] {
+        w_ = start.empty() ? std::vector<double>(nodes, 0.0) : start;
+        if (start.empty()) {
+            unknown_.setZero();  // the hold's forces too: what was solved before must not show
+        }
+    };
+    begin();
     Solution s;
+    unseen_ = softest;
+    try {
+        if (newton(tolerance, std::min(iterations, iterations_at_once), s)) {
+            return s;
+        }
+    } catch (const SimulationError&) {  // a singular matrix far from the solution
+    }
+    begin();
+    unknown_.setZero();
+    Solution found;
+    std::vector<double> map;
+    Eigen::VectorXd unknown;
+    double stiffness = 0;
+    for (const double next : stiff_to_soft) {
+        unseen_ = next;
+        if (!newton(tolerance, iterations, s)) {
+            break;
+        }
+        found = s;
+        map = w_;
+        unknown = unknown_;
+        stiffness = next;
+    }
+    if (map.empty()) {
+        throw SimulationError("equilibrium: Newton's method did not converge in " + std::to_string(iterations) +
+                              " steps (last step " + std::to_string(s.last_step) +
+                              " m); the object is too soft to carry its weight in the published shape");
+    }
+    if (stiffness != unseen_) {
+        w_ = map;
+        unknown_ = unknown;
+        unseen_ = stiffness;
+        factors_are_here_ = false;
+    }
+    return found;
+}
+
+bool Equilibrium::newton(double tolerance, int iterations, Solution& s) {
+    const std::size_t nodes = 3 * model_->node_count();
     Eigen::VectorXd residual;
     bool fresh = true;  // a new matrix, for the factors cost most of the time
     double before = INFINITY;
@@ -326,16 +371,14 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
         if (length == 1.0 && s.last_step < tolerance) {
             factors_are_here_ = fresh;
             fill(s);
-            return s;
+            return true;
         }
         // The last matrix serves as long as the steps shrink fast with it.
         const double shrunk = std::isfinite(before) ? s.last_step / before : 1.0;
         fresh = length < 1.0 || shrunk > (fresh ? enough_to_keep : enough_to_go_on);
         before = s.last_step;
     }
-    throw SimulationError("equilibrium: Newton's method did not converge in " + std::to_string(iterations) +
-                          " steps (last step " + std::to_string(s.last_step) +
-                          " m); the object is too soft to carry its weight in the published shape");
+    return false;
 }
 
 }  // namespace mphygs

@@ -49,6 +49,8 @@ class Equilibrium {
     struct Assembly;
     void assemble(const std::vector<double>& w, bool matrix, Eigen::VectorXd& residual);
     void fill(Solution& s) const;
+    /// From w_ on, with the springs as they are. False where it does not converge; s is filled where it does.
+    bool newton(double tolerance, int iterations, Solution& s);
     void factorise();
     /// The factors of the matrix at the last solution, unless that is what they are.
     void factorise_here();
@@ -58,6 +60,7 @@ class Equilibrium {
     std::vector<double> volume_, load_, w_;
     Eigen::VectorXd unknown_;
     double node_spring_ = 0;  // [N/m]
+    double unseen_ = 0;       // of the springs on what a cell's points cannot see [Pa]
     bool factors_are_here_ = false;
     Eigen::SparseMatrix<double> matrix_;
     std::vector<std::int32_t> position_;  // of every block's 81 x 81 entries in the matrix's values
