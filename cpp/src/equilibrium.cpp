@@ -235,6 +235,7 @@ void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::Vec
 void Equilibrium::fill(Solution& s) const {
     const Assembly a{*model_};
     s.map = w_;
+    s.springs = unseen_;
     s.deformation0.resize(72 * a.blocks());
     s.volume_ratio.resize(8 * a.blocks());
     for (std::size_t b = 0; b < a.blocks(); ++b) {
@@ -297,7 +298,14 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
     double stiffness = 0;
     for (const double next : stiff_to_soft) {
         unseen_ = next;
-        if (!newton(tolerance, iterations, s)) {
+        try {
+            if (!newton(tolerance, iterations, s)) {
+                break;
+            }
+        } catch (const SimulationError&) {
+            if (map.empty()) {
+                throw;  // singular with the stiffest springs: the object hangs on nothing
+            }
             break;
         }
         found = s;

@@ -278,6 +278,42 @@ TEST(Equilibrium, TwoHeldFacesThatMeetAreHeldTogether) {
     }
 }
 
+TEST(Equilibrium, WhereSofterSpringsFailTheStiffersAnswerStands) {
+    // As soft as the springs themselves, under as much load as it just carries with the stiffest of them.
+    Hanging h({}, Law::neo_hookean, true);
+    for (std::vector<double>* numbers : {&h.bar.fields.mu, &h.bar.fields.lambda, &h.load}) {
+        for (double& x : *numbers) {
+            x *= 1e-7;
+        }
+    }
+    const auto under = [&](Equilibrium& equilibrium, double factor) {
+        std::vector<double> load = h.load;
+        for (double& x : load) {
+            x *= factor;
+        }
+        return equilibrium.solve(h.bar.fields, h.bar.volume, load, {}, 1e-12);
+    };
+    Equilibrium light(h.bar.model), heavy(h.bar.model), more(h.bar.model), less(h.bar.model);
+    const double softest = under(light, 1).springs, step = 1e-3;
+    const Equilibrium::Solution s = under(heavy, 90), a = under(less, 90 - step), b = under(more, 90 + step);
+    EXPECT_EQ(softest, 1e-5);
+    for (const Equilibrium::Solution* x : {&s, &a, &b}) {
+        ASSERT_EQ(x->springs, 0.05);
+    }
+    // Its derivatives are those of what it found.
+    Equilibrium::Direction d;
+    d.load = h.load;
+    const Equilibrium::Solution t = heavy.tangent({d}).front();
+    double error = 0, size = 0;
+    for (std::size_t i = 0; i < t.deformation0.size(); ++i) {
+        const double difference = (b.deformation0[i] - a.deformation0[i]) / (2 * step);
+        error += std::pow(t.deformation0[i] - difference, 2);
+        size += difference * difference;
+    }
+    EXPECT_GT(size, 0.0);
+    EXPECT_LT(std::sqrt(error), 1e-4 * std::sqrt(size));
+}
+
 TEST(Equilibrium, AnObjectThatNothingHoldsIsRefused) {
     test::BarOptions o;
     o.held = false;

@@ -27,11 +27,13 @@ class Equilibrium {
         std::vector<double> volume_ratio;   // stress-free over published volume, (B, 8)
         int iterations = 0;
         double last_step = 0;               // [m]
+        double springs = 0;                 // stiffness of what holds the shapes of a cell that its points cannot see [Pa]
     };
 
     /// fields: mu, lambda, effect are read; volume: (B, 8) published volume [m^3];
     /// load: (N, 3) external force on the nodes [N]; start: w to begin with, or empty.
-    /// Throws SimulationError where Newton's method does not converge.
+    /// With the softest springs that Newton's method can do with in so many iterations.
+    /// Throws SimulationError where it does not converge with the stiffest.
     Solution solve(const Fields<double>& fields, const std::vector<double>& volume, const std::vector<double>& load,
                    const std::vector<double>& start, double tolerance = 1e-9, int iterations = 40);
 
