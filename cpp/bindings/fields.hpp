@@ -27,7 +27,7 @@ std::vector<T> entry(const py::dict& d, const char* key) {
 
 inline mphygs::Geometry to_geometry(const py::dict& d) {
     reject_unknown(d,
-                   {"origin", "spacing", "grid_width", "cell", "part", "points", "surface_cell", "surface_points", "surface_area", "place_cell",
+                   {"origin", "spacing", "grid_width", "cell", "part", "points", "sparse", "surface_cell", "surface_points", "surface_area", "place_cell",
                     "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "part_count"},
                    "geometry");
     mphygs::Geometry g;
@@ -37,6 +37,7 @@ inline mphygs::Geometry to_geometry(const py::dict& d) {
     g.cell = entry<std::int32_t>(d, "cell");
     g.part = entry<std::int32_t>(d, "part");
     g.points = entry<double>(d, "points");
+    g.sparse = entry<double>(d, "sparse");
     g.surface_cell = entry<std::int32_t>(d, "surface_cell");
     g.surface_points = entry<double>(d, "surface_points");
     g.surface_area = entry<double>(d, "surface_area");

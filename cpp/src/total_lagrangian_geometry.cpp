@@ -146,6 +146,15 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         gradients_.push_back(gradient);
         values_.push_back(value);
     }
+    require(g.sparse.empty() || g.sparse.size() == blocks, "sparse must have one entry for every block, or none");
+    for (std::size_t b = 0; b < blocks; ++b) {
+        const bool sparse = !g.sparse.empty() && g.sparse[static_cast<std::size_t>(order_[b])] > 0;
+        spring_.push_back(sparse ? static_cast<std::int32_t>(springs_.size()) : -1);
+        if (sparse) {
+            const std::size_t table = static_cast<std::size_t>(table_[b]);
+            springs_.emplace_back(values_[table], gradients_[table], spacing, g.sparse[static_cast<std::size_t>(order_[b])]);
+        }
+    }
     std::vector<int> users(gradients_.size(), 0);
     for (const std::int32_t t : table_) {
         ++users[static_cast<std::size_t>(t)];

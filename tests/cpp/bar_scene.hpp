@@ -15,6 +15,7 @@ struct BarOptions {
     bool held = true;
     bool held_along_top = false;  // else at the bottom
     bool two_grids = false;        // one for each part, tied where they meet
+    bool springs = false;          // on what the points of each second cell do not see
     double young[2] = {1e6, 4e5};  // of the lower and the upper part [Pa]
     double density = 1000;         // [kg/m^3]
 };
@@ -147,6 +148,9 @@ inline Geometry bar_geometry(const BarOptions& o) {
     }
     if (o.two_grids) {
         part_grids(g, o);
+    }
+    for (std::size_t b = 0; o.springs && b < g.block_count(); ++b) {
+        g.sparse.push_back(b % 2 == 0 ? 0.4 : 0.0);
     }
     return g;
 }

@@ -22,6 +22,7 @@ struct Case {
     Law law = Law::neo_hookean;
     bool prestressed = true;
     bool two_grids = false;
+    bool springs = false;
 };
 
 void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
@@ -39,6 +40,8 @@ std::vector<Case> cases() {
     all.push_back({"every_effect_together", every});
     all.push_back({"every_effect_stress_free", every, Law::fixed_corotated, false});
     all.push_back({"none_on_two_grids", {}, Law::neo_hookean, true, true});
+    all.push_back({"none_with_springs", {}, Law::neo_hookean, true, false, true});
+    all.push_back({"every_effect_with_springs", every, Law::fixed_corotated, false, true, true});
     all.push_back({"every_effect_on_two_grids", every, Law::neo_hookean, true, true});
     return all;
 }
@@ -51,6 +54,7 @@ class Gradient : public testing::TestWithParam<Case> {
         settings.active = test::only_active(GetParam().effects);
         test::BarOptions options;
         options.two_grids = GetParam().two_grids;
+        options.springs = GetParam().springs;
         test::Bar b = test::make_bar(options, schedule, settings);
         test::stir(b, 21);
         if (!GetParam().prestressed) {

@@ -28,6 +28,7 @@ struct Geometry {
     std::vector<std::int32_t> cell;   // (B, 3) knot span of each block
     std::vector<std::int32_t> part;   // (B,)
     std::vector<double> points;       // (B, 8, 3) [m]
+    std::vector<double> sparse;       // (B,) or none: how much of the cell is filled where that is little, else 0
     std::vector<std::int32_t> surface_cell;  // (S, 3)
     std::vector<double> surface_points;      // (S, 8, 3) [m]
     std::vector<double> surface_area;        // (S, 8) [m^2], 0 pads

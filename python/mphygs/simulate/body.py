@@ -24,6 +24,9 @@ from mphygs.simulate.rows import constraint_rows
 LANES = 8
 # Cells filled less than this hand their material to a neighbour.
 SMALLEST_SHARE = 0.1
+# Cells filled less than this have shapes that their points do not see: springs hold those, but for parts that
+# fill less of their cells on average: such a sheet bends in shapes that the springs would stiffen.
+SPARSE, THINNEST = 0.5, 1.0 / 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +212,9 @@ def discretise(
     width = int(quadrature.node_shape[0]) + 2 if len(parts) > 1 else 0
     numbered = quadrature.cell.copy()
     numbered[:, 0] += quadrature.part * width
+    filled = quadrature.volumes.sum(1) / np.prod(quadrature.spacing)
+    cells = np.bincount(quadrature.part, minlength=len(parts))
+    thick = np.bincount(quadrature.part, filled, len(parts)) > THINNEST * cells
     geometry = {
         "origin": quadrature.origin,
         "spacing": quadrature.spacing,
@@ -216,6 +222,7 @@ def discretise(
         "cell": numbered,
         "part": quadrature.part,
         "points": quadrature.points,
+        "sparse": np.where((filled < SPARSE) & thick[quadrature.part], filled, 0.0),
         "part_count": len(parts),
     }
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)

@@ -15,6 +15,7 @@
 #include "mphygs/model.hpp"
 #include "mphygs/point_hook.hpp"
 #include "mphygs/registry.hpp"
+#include "mphygs/transfers/cell_springs.hpp"
 #include "mphygs/transfers/spline_tables.hpp"
 
 namespace mphygs {
@@ -113,6 +114,8 @@ class TotalLagrangian {
     std::vector<GradientTable<T>> gradients_;
     std::vector<ValueTable<T>> values_;
     std::vector<ValueTable<T>> surface_values_;
+    std::vector<std::int32_t> spring_;  // of each sorted block: its springs, -1 where it has none
+    std::vector<CellSprings<T>> springs_;
     std::vector<PlaceRows> places_;
     std::vector<Chunk> chunks_;
     std::vector<std::int32_t> constraint_node_;

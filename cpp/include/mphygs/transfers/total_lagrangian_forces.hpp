@@ -57,6 +57,17 @@ class TotalLagrangianForces {
                 }
             }
         }
+        spring_stiffness_.assign(model.springs_.size(), U{});
+        for (std::size_t b = 0; b < blocks; ++b) {
+            if (model.spring_[b] < 0) {
+                continue;
+            }
+            U& sum = spring_stiffness_[static_cast<std::size_t>(model.spring_[b])];
+            for (std::size_t q = 8 * static_cast<std::size_t>(model.order_[b]), end = q + 8; q < end; ++q) {
+                sum = sum + inputs.plain(&Fields<T>::mu, q) * inputs.plain(&Fields<T>::stress_volume, q);
+            }
+            sum = model.springs_[static_cast<std::size_t>(model.spring_[b])].stiffness * sum;
+        }
         surface_area_.resize(model.surface_rows_.size());
         for (std::size_t b = 0; b < surface_area_.size(); ++b) {
             for (int q = 0; q < 8; ++q) {
@@ -115,10 +126,34 @@ class TotalLagrangianForces {
         std::fill(out.begin(), out.end(), T{});
         for (std::size_t b = chunk.block_begin; b < chunk.block_end; ++b) {
             block_forces(b, time, dt, out.data() - chunk.node_begin, span);
+            if (model_.spring_[b] >= 0) {
+                spring_forces(b, out.data() - chunk.node_begin, span);
+            }
         }
         if (model_.sites_.surface) {
             for (std::size_t b = chunk.surface_begin; b < chunk.surface_end; ++b) {
                 surface_forces(b, time, out.data() - chunk.node_begin, span);
+            }
+        }
+    }
+
+    /// What the springs of a sparsely filled cell pull with (see `CellSprings`).
+    void spring_forces(std::size_t b, T* out, std::size_t span) const {
+        const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+        const std::size_t index = static_cast<std::size_t>(model_.spring_[b]);
+        const CellSprings<T>& springs = model_.springs_[index];
+        const U& stiffness = spring_stiffness_[index];
+        for (std::size_t c = 0; c < 3; ++c) {
+            const auto value = springs.along(u_.data() + at(0, c, 0), rows);
+            for (int l = 0; l < used_; ++l) {
+                auto pull = l == 0 ? value : springs.along(u_.data() + at(l, c, 0), rows);
+                for (std::size_t k = 0; k < pull.size(); ++k) {
+                    pull[k] *= -lane_of(stiffness, 0);
+                    if (l > 0) {
+                        pull[k] -= lane_of(stiffness, l) * value[k];
+                    }
+                }
+                springs.add(pull, rows, out + (3 * static_cast<std::size_t>(l) + c) * span);
             }
         }
     }
@@ -473,6 +508,7 @@ class TotalLagrangianForces {
     std::vector<T> u_, v_;   // lane, component, node
     std::vector<S> mu_, lambda_, volume_, mass_points_, history_;
     std::vector<Mat3<S>> f0_;
+    std::vector<U> spring_stiffness_;  // [N/m]
     std::vector<Pack<T>> surface_area_;
     std::vector<std::vector<T>> chunk_force_;
     std::vector<S> uniforms_;

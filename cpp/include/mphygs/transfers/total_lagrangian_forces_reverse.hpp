@@ -235,6 +235,9 @@ class TotalLagrangianForcesReverse {
         T* vbar = ubar + 3 * span;
         for (std::size_t b = chunk.block_begin; b < chunk.block_end; ++b) {
             reverse_block(b, time, dt, ubar, vbar, span, chunk_uniform_bar_[c]);
+            if (model_.spring_[b] >= 0) {
+                reverse_springs(b, ubar, span);
+            }
         }
         if (model_.sites_.surface) {
             for (std::size_t b = chunk.surface_begin; b < chunk.surface_end; ++b) {
@@ -349,6 +352,28 @@ class TotalLagrangianForcesReverse {
             const Mat3<Pack<T>> velocity_bar = run_.prestressed_ ? rate_bar * transpose(run_.f0_[b]) : rate_bar;
             scatter_gradient<T>(velocity_bar, vbar, span, rows, table);
         }
+    }
+
+    /// The springs' matrix is symmetric: the bar of u is what they pull with where the bar of f is.
+    void reverse_springs(std::size_t b, T* ubar, std::size_t span) {
+        const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+        const std::size_t index_here = static_cast<std::size_t>(model_.spring_[b]);
+        const CellSprings<T>& springs = model_.springs_[index_here];
+        const T stiffness = run_.spring_stiffness_[index_here];
+        double stiffness_bar = 0;
+        for (std::size_t c = 0; c < 3; ++c) {
+            const auto value = springs.along(run_.u_.data() + run_.at(0, c, 0), rows);
+            auto pull = springs.along(fbar_.data() + run_.at(0, c, 0), rows);
+            for (std::size_t k = 0; k < pull.size(); ++k) {
+                stiffness_bar -= static_cast<double>(pull[k] * value[k]);
+                pull[k] *= -stiffness;
+            }
+            springs.add(pull, rows, ubar + c * span);
+        }
+        const std::size_t to = 8 * static_cast<std::size_t>(model_.order_[b]);
+        const Pack<T> bar = broadcast<T>(static_cast<T>(stiffness_bar) * springs.stiffness);
+        accumulate(&mu_bar_[to], bar * run_.volume_[b]);
+        accumulate(&volume_bar_[to], bar * run_.mu_[b]);
     }
 
     void reverse_surface(std::size_t b, double time, T* ubar, T* vbar, std::size_t span, std::vector<double>& uniform_bar) {

@@ -1,0 +1,31 @@
+"""Cells of which material fills little: what their points do not see takes no part in the motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from mphygs.simulate import body
+from mphygs.simulate.modes import natural_modes
+from mphygs.simulate.prediction import Predictor, Settings
+
+
+def frequencies(spacing: float, count: int) -> np.ndarray:
+    """The lowest natural frequencies of a slender bar [Hz]."""
+    capture = bar_capture(lengths=(0.06,), side=0.0085, depth=0.008, gravity=np.zeros(3))
+    belief = bar_belief(capture, youngs_modulus=5e4, density=1000.0, prestress="off")
+    predictor = Predictor(capture, capture.sequences[0], Settings(spacing, dtype="float64", workers=1))
+    assert predictor.body.geometry["sparse"].any() == (body.SPARSE > 0.0)
+    return np.sqrt(np.maximum(natural_modes(predictor, belief, count).squared, 0.0)) / (2 * np.pi)
+
+
+@pytest.mark.parametrize("spacing", [0.0058, 0.0062, 0.0066])
+def test_no_mode_is_as_slow_as_the_bars_own(spacing: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of a cantilever: the lowest two are its bending to either side, the next ones four times as fast.
+    found = frequencies(spacing, 4)
+    np.testing.assert_allclose(found[:2], [2.50, 2.65], rtol=5e-3)
+    assert found[2] > 3.5 * found[0]
+    monkeypatch.setattr(body, "SPARSE", 0.0)
+    without = frequencies(spacing, 4)
+    assert without[2] < 1.2 * found[0], "without springs there are slower ones, or as slow"
