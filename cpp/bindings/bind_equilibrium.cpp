@@ -17,7 +17,6 @@ py::dict solution_dict(Equilibrium::Solution&& s, std::size_t nodes) {
     d["volume_ratio"] = to_array(std::move(s.volume_ratio), {points});
     d["iterations"] = s.iterations;
     d["last_step"] = s.last_step;
-    d["springs"] = s.springs;
     return d;
 }
 

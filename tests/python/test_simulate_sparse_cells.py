@@ -29,3 +29,12 @@ def test_no_mode_is_as_slow_as_the_bars_own(spacing: float, monkeypatch: pytest.
     monkeypatch.setattr(body, "SPARSE", 0.0)
     without = frequencies(spacing, 4)
     assert without[2] < 1.2 * found[0], "without springs there are slower ones, or as slow"
+
+
+def test_a_sheet_much_thinner_than_a_cell_has_no_springs() -> None:
+    for depth, some in ((0.001, False), (0.008, True)):
+        capture = bar_capture(lengths=(0.06,), side=0.0085, depth=depth)
+        found = body.discretise(capture, body.hold_boxes(capture.sequences[0]), 0.0058)
+        sparse = found.geometry["sparse"]
+        assert sparse.any() == some
+        assert ((sparse == 0.0) | ((sparse >= body.SMALLEST_SHARE) & (sparse < body.SPARSE))).all()
