@@ -25,7 +25,7 @@ LANES = 8
 # Cells filled less than this hand their material to a neighbour.
 SMALLEST_SHARE = 0.1
 # Cells filled less than this have shapes that their points do not see: springs hold those, but for parts that
-# fill less of their cells on average: fits of flowers with petals far thinner than a cell were worse with them.
+# fill less of their cells on average: flowers with petals far thinner than a cell fitted worse with them.
 SPARSE, THINNEST = 0.5, 1.0 / 3.0
 
 
