@@ -31,8 +31,19 @@ inline mphygs::Geometry to_geometry(const py::dict& d) {
                     "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "part_count"},
                    "geometry");
     mphygs::Geometry g;
-    g.origin = d["origin"].cast<std::array<double, 3>>();
-    g.spacing = d["spacing"].cast<std::array<double, 3>>();
+    // (3,) of one grid, or (G, 3) of those that stand beside each other.
+    g.grid_origin = entry<double>(d, "origin");
+    g.grid_spacing = entry<double>(d, "spacing");
+    for (std::size_t c = 0; c < 3; ++c) {
+        g.origin[c] = g.grid_origin.at(c);
+        g.spacing[c] = g.grid_spacing.at(c);
+    }
+    if (g.grid_origin.size() == 3) {
+        g.grid_origin.clear();
+    }
+    if (g.grid_spacing.size() == 3) {
+        g.grid_spacing.clear();
+    }
     g.grid_width = d.contains("grid_width") ? d["grid_width"].cast<int>() : 0;
     g.cell = entry<std::int32_t>(d, "cell");
     g.part = entry<std::int32_t>(d, "part");

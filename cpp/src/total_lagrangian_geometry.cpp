@@ -64,6 +64,8 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
     : geometry_(std::move(geometry)), settings_(std::move(settings)) {
     const Geometry& g = geometry_;
     const std::size_t blocks = g.block_count();
+    require(g.grid_origin.size() == g.grid_spacing.size() && (g.grid_origin.empty() || g.grid_width > 0),
+            "origin and spacing must be of one grid, or of each of those that grid_width tells apart");
     require(blocks > 0, "the object has no material: no block of points was given");
     require(g.cell.size() == 3 * blocks && g.points.size() == 24 * blocks, "cell, part and points disagree in size");
     slots_ = make_slots(settings_.active);
@@ -103,9 +105,10 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
                 n = next++;
                 const int index[3] = {i + grid_low_[0], j + grid_low_[1], k + grid_low_[2]};
                 const int standing[3] = {g.standing(index[0]), index[1], index[2]};
+                const std::array<double, 3> origin = g.origin_at(index[0]), spacing = g.spacing_at(index[0]);
                 for (std::size_t c = 0; c < 3; ++c) {
                     node_index_.push_back(index[c]);
-                    node_positions_.push_back(g.origin[c] + standing[c] * g.spacing[c]);
+                    node_positions_.push_back(origin[c] + standing[c] * spacing[c]);
                 }
             }
         }
@@ -118,15 +121,18 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
     const auto table_key = [&](const double* points, const std::int32_t* cell, double (&s)[8][3]) {
         std::vector<std::int64_t> key;
         const int standing[3] = {g.standing(cell[0]), cell[1], cell[2]};
+        const std::array<double, 3> origin = g.origin_at(cell[0]), spacing = g.spacing_at(cell[0]);
         for (int q = 0; q < 8; ++q) {
             for (std::size_t c = 0; c < 3; ++c) {
-                s[q][c] = (points[static_cast<std::size_t>(q) * 3 + c] - g.origin[c]) / g.spacing[c] - standing[c];
+                s[q][c] = (points[static_cast<std::size_t>(q) * 3 + c] - origin[c]) / spacing[c] - standing[c];
                 key.push_back(std::llround(s[q][c] * 1e12));
             }
         }
+        for (const double h : spacing) {
+            key.push_back(std::llround(h * 1e15));
+        }
         return key;
     };
-    const double spacing[3] = {g.spacing[0], g.spacing[1], g.spacing[2]};
     order_ = sorted_by_cell(g.cell);
     for (const std::int32_t b : order_) {
         const std::size_t block = static_cast<std::size_t>(b);
@@ -140,8 +146,9 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         }
         GradientTable<T> gradient{};
         ValueTable<T> value{};
+        const std::array<double, 3> spacing = g.spacing_at(g.cell[3 * block]);
         for (int q = 0; q < 8; ++q) {
-            set_point(q, s[q], spacing, gradient, value);
+            set_point(q, s[q], spacing.data(), gradient, value);
         }
         gradients_.push_back(gradient);
         values_.push_back(value);
@@ -152,7 +159,8 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         spring_.push_back(sparse ? static_cast<std::int32_t>(springs_.size()) : -1);
         if (sparse) {
             const std::size_t table = static_cast<std::size_t>(table_[b]);
-            springs_.emplace_back(values_[table], gradients_[table], spacing, g.sparse[static_cast<std::size_t>(order_[b])]);
+            const std::size_t block = static_cast<std::size_t>(order_[b]);
+            springs_.emplace_back(values_[table], gradients_[table], g.spacing_at(g.cell[3 * block]).data(), g.sparse[block]);
         }
     }
     std::vector<int> users(gradients_.size(), 0);
@@ -174,7 +182,7 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         ValueTable<T> value{};
         for (int q = 0; q < 8; ++q) {
             double n[27], dn[27][3];
-            point_weights(s[q], spacing, n, dn);
+            point_weights(s[q], g.spacing_at(g.surface_cell[3 * block]).data(), n, dn);
             for (int a = 0; a < 27; ++a) {
                 value.by_node[a][q] = static_cast<T>(n[a]);
                 value.by_point[q][a / 3 * 4 + a % 3] = static_cast<T>(n[a]);
@@ -229,15 +237,15 @@ template <class T>
 PointWeights TotalLagrangian<T>::weights(const std::vector<double>& points, const std::vector<std::int32_t>& cell) const {
     require(points.size() == cell.size(), "points and cell must both be (M, 3)");
     PointWeights w;
-    const double spacing[3] = {geometry_.spacing[0], geometry_.spacing[1], geometry_.spacing[2]};
     for (std::size_t p = 0; p < points.size() / 3; ++p) {
         const std::array<std::int32_t, 9> rows = rows_of(&cell[3 * p]);
         double s[3], n[27], dn[27][3];
         const int standing[3] = {geometry_.standing(cell[3 * p]), cell[3 * p + 1], cell[3 * p + 2]};
+        const std::array<double, 3> origin = geometry_.origin_at(cell[3 * p]), spacing = geometry_.spacing_at(cell[3 * p]);
         for (std::size_t c = 0; c < 3; ++c) {
-            s[c] = (points[3 * p + c] - geometry_.origin[c]) / spacing[c] - standing[c];
+            s[c] = (points[3 * p + c] - origin[c]) / spacing[c] - standing[c];
         }
-        point_weights(s, spacing, n, dn);
+        point_weights(s, spacing.data(), n, dn);
         for (int a = 0; a < 27; ++a) {
             w.node.push_back(rows[static_cast<std::size_t>(a / 3)] + a % 3);
             w.value.push_back(n[a]);

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mphygs.scene.particles import Quadrature, fill, inside
+from mphygs.scene.particles import Quadrature, fill, fill_each, inside
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 GAUSS = 0.5 / np.sqrt(3.0)
@@ -176,6 +176,24 @@ def test_offset_moves_the_grid_and_covers_the_solid() -> None:
         assert quadrature.cell.min() >= 1
         assert np.all(quadrature.cell + 1 < quadrature.node_shape)
         assert quadrature.volumes.sum() == pytest.approx(1e-6, rel=1e-10)
+
+
+def test_grids_that_fit_have_boundaries_at_the_material_and_where_it_is_gripped() -> None:
+    h = 0.004
+    parts = [box([0.0, 0.0, 0.0], [0.01, 0.0127, 0.001]), box([0.005, 0.0, 0.0], [0.03, 0.0127, 0.02])]
+    held = np.array([[[-1.0, -1.0, -1.0], [0.0015, 1.0, 1.0]]])
+    q = fill_each(parts, spacing=h, exclude_boxes=held, planes={(1, 2): 0.013})
+    # The first owns what both have; of the second what is left is one box less a corner.
+    np.testing.assert_allclose(q.spacings[0], [0.0085 / 2, 0.0127 / 3, 0.75 * h], rtol=1e-9)
+    np.testing.assert_allclose(q.spacings[1], [0.025 / 6, 0.0127 / 3, 0.013 / 3], rtol=1e-9)
+    volume = [q.volumes[q.part == p].sum() for p in (0, 1)]
+    shared = 0.005 * 0.0127 * 0.001
+    np.testing.assert_allclose(volume, [0.0085 * 0.0127 * 0.001, 0.025 * 0.0127 * 0.02 - shared])
+    boundary = (0.013 - q.origins[1, 2]) / q.spacings[1, 2] + 0.5
+    assert boundary == pytest.approx(round(boundary), abs=1e-9)
+    # Thinner than the least cell: in its middle.
+    thin = q.points[q.part == 0][..., 2].mean()
+    assert thin == pytest.approx(q.origins[0, 2] + q.spacings[0, 2] * q.cell[q.part == 0][0, 2], abs=1e-12)
 
 
 def test_rays_through_edges_and_vertices_are_no_trouble() -> None:

@@ -15,7 +15,11 @@ def frequencies(spacing: float, count: int) -> np.ndarray:
     """The lowest natural frequencies of a slender bar [Hz]."""
     capture = bar_capture(lengths=(0.06,), side=0.0085, depth=0.008, gravity=np.zeros(3))
     belief = bar_belief(capture, youngs_modulus=5e4, density=1000.0, prestress="off")
-    predictor = Predictor(capture, capture.sequences[0], Settings(spacing, dtype="float64", workers=1))
+    recording = capture.sequences[0]
+    # A grid that does not fit the bar: one that does has no sparse cells.
+    cut = body.discretise(capture, body.hold_boxes(recording), spacing, fitting=False)
+    settings = Settings(spacing, dtype="float64", workers=1)
+    predictor = Predictor(capture, recording, settings, body=cut)
     assert predictor.body.geometry["sparse"].any() == (body.SPARSE > 0.0)
     return np.sqrt(np.maximum(natural_modes(predictor, belief, count).squared, 0.0)) / (2 * np.pi)
 
@@ -34,7 +38,34 @@ def test_no_mode_is_as_slow_as_the_bars_own(spacing: float, monkeypatch: pytest.
 def test_a_sheet_much_thinner_than_a_cell_has_no_springs() -> None:
     for depth, some in ((0.001, False), (0.008, True)):
         capture = bar_capture(lengths=(0.06,), side=0.0085, depth=depth)
-        found = body.discretise(capture, body.hold_boxes(capture.sequences[0]), 0.0058)
+        found = body.discretise(capture, body.hold_boxes(capture.sequences[0]), 0.0058, fitting=False)
         sparse = found.geometry["sparse"]
         assert sparse.any() == some
         assert ((sparse == 0.0) | ((sparse >= body.SMALLEST_SHARE) & (sparse < body.SPARSE))).all()
+
+
+def test_a_grid_that_fits_a_bar_has_full_cells_and_its_own_spacing() -> None:
+    capture = bar_capture(lengths=(0.06, 0.033), side=0.0085, depth=0.008)
+    boxes = body.hold_boxes(capture.sequences[0])
+    found = body.discretise(capture, boxes, 0.0085)
+    np.testing.assert_allclose(found.quadrature.filled, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(
+        found.quadrature.spacings, [[0.06 / 7, 0.0085, 0.008], [0.033 / 4, 0.0085, 0.008]], rtol=1e-9
+    )
+    # What the hold encloses is not part of it.
+    assert found.quadrature.volumes.sum() == pytest.approx(0.093 * 0.0085 * 0.008, rel=1e-9)
+    common = body.discretise(capture, boxes, 0.0085, fitting=False)
+    assert common.quadrature.volumes.sum() == pytest.approx(0.093 * 0.0085 * 0.008, rel=1e-9)
+
+
+def test_both_kinds_of_grid_swing_alike() -> None:
+    # Grids of other spacings and places, tied at the joint: the lowest two modes are the bar's, not theirs.
+    capture = bar_capture(lengths=(0.04, 0.033), side=0.012, depth=0.011, gravity=np.zeros(3))
+    belief = bar_belief(capture, youngs_modulus=5e4, density=1000.0, prestress="off")
+    recording, settings = capture.sequences[0], Settings(0.0052, dtype="float64", workers=1)
+    found = []
+    for fitting in (True, False):
+        made = body.discretise(capture, body.hold_boxes(recording), 0.0052, fitting=fitting)
+        predictor = Predictor(capture, recording, settings, body=made)
+        found.append(np.sqrt(natural_modes(predictor, belief, 2).squared))
+    np.testing.assert_allclose(found[0], found[1], rtol=4e-3)

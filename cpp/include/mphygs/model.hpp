@@ -1,6 +1,7 @@
 // What stays fixed during a simulation, what it is differentiated against, and what comes out.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <stdexcept>
@@ -22,9 +23,10 @@ struct SimulationError : std::runtime_error {
 struct Geometry {
     std::array<double, 3> origin{};   // of node (0, 0, 0) [m]
     std::array<double, 3> spacing{};  // [m]
-    // Parts may have grids of their own, side by side in one numbering: node (i + k grid_width, j, l) of
-    // grid k stands where node (i, j, l) does, for i in [0, grid_width). 0: one grid for all.
+    // Parts may have grids of their own, side by side in one numbering: node (i + k grid_width, j, l) is node
+    // (i, j, l) of grid k, for i in [0, grid_width). 0: one grid for all.
     int grid_width = 0;
+    std::vector<double> grid_origin, grid_spacing;  // (G, 3) of every grid [m]; none: as `origin` and `spacing` say
     std::vector<std::int32_t> cell;   // (B, 3) knot span of each block
     std::vector<std::int32_t> part;   // (B,)
     std::vector<double> points;       // (B, 8, 3) [m]
@@ -47,8 +49,20 @@ struct Geometry {
     std::size_t surface_count() const { return surface_cell.size() / 3; }
     std::size_t place_count() const { return places.size() / 3; }
     std::size_t row_count() const { return row_hold.size(); }
-    /// Along the first axis, where a cell or node of any grid stands.
+    /// Along the first axis, the number of a cell or node on its own grid.
     int standing(int i) const { return grid_width > 0 ? ((i % grid_width) + grid_width) % grid_width : i; }
+    /// Origin and spacing of the grid of the cell or node at i along the first axis [m].
+    std::array<double, 3> origin_at(int i) const { return of_grid(grid_origin, i, origin); }
+    std::array<double, 3> spacing_at(int i) const { return of_grid(grid_spacing, i, spacing); }
+
+  private:
+    std::array<double, 3> of_grid(const std::vector<double>& each, int i, const std::array<double, 3>& all) const {
+        if (each.empty()) {
+            return all;
+        }
+        const std::size_t g = 3 * static_cast<std::size_t>((i - standing(i)) / std::max(grid_width, 1));
+        return {each.at(g), each.at(g + 1), each.at(g + 2)};
+    }
 };
 
 /// How it is integrated.

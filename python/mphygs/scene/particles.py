@@ -3,7 +3,7 @@
 from mphygs.scene.closest import MaterialAnchor, closest_material
 from mphygs.scene.holding import HoldFace, hold_face
 from mphygs.scene.joints import Joint, find_joints
-from mphygs.scene.quadrature import Quadrature, fill
+from mphygs.scene.quadrature import Quadrature, fill, fill_each
 from mphygs.scene.rays import inside
 from mphygs.scene.surface import SurfaceSamples, exposed_surface
 
@@ -16,6 +16,7 @@ __all__ = [
     "closest_material",
     "exposed_surface",
     "fill",
+    "fill_each",
     "find_joints",
     "hold_face",
     "inside",

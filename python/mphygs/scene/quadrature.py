@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 SMALLEST_SHARE = 1e-4
 # What a part may lose when all its free material is such slivers (left over beside a hold).
 LARGEST_LOSS = 1e-2
+# Cells that are made to fit are between these, in spacings.
+SMALLEST, LARGEST = 0.75, 1.3
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3)
 
 
@@ -29,10 +31,10 @@ class Quadrature:
     Nodes stand at origin + i * spacing; cell i along an axis is the knot span [i - 1/2, i + 1/2] * spacing
     around node i, and touches the nodes i - 1, i, i + 1 of a quadratic B-spline.
 
-    origin: (3,) [m]; spacing: (3,) [m]; node_shape: (3,) int, every touched node has an index in
-    [0, node_shape); cell: (B, 3) int32; part: (B,) int32; points: (B, 8, 3) [m], inside their cell;
-    volumes: (B, 8) [m^3]; part_volume: (P,) [m^3], each mesh whole; free_volume: (P,) [m^3], what is left
-    of it without excluded boxes and without what an earlier part owns.
+    origin, spacing: of the grid, (3,) [m], or of every part's own grid, (P, 3) [m]; node_shape: (3,) int,
+    every touched node has an index in [0, node_shape); cell: (B, 3) int32; part: (B,) int32; points:
+    (B, 8, 3) [m], inside their cell; volumes: (B, 8) [m^3]; part_volume: (P,) [m^3], each mesh whole;
+    free_volume: (P,) [m^3], what is left of it without excluded boxes and without what an earlier part owns.
     """
 
     origin: np.ndarray
@@ -44,6 +46,21 @@ class Quadrature:
     volumes: np.ndarray
     part_volume: np.ndarray
     free_volume: np.ndarray
+
+    @property
+    def origins(self) -> np.ndarray:
+        """(P, 3) of every part's grid [m]."""
+        return np.broadcast_to(self.origin, (len(self.part_volume), 3))
+
+    @property
+    def spacings(self) -> np.ndarray:
+        """(P, 3) of every part's grid [m]."""
+        return np.broadcast_to(self.spacing, (len(self.part_volume), 3))
+
+    @property
+    def filled(self) -> np.ndarray:
+        """(B,) share of the cell that each block's material fills."""
+        return self.volumes.sum(1) / self.spacings.prod(1)[self.part]
 
 
 def fill(
@@ -79,42 +96,167 @@ def fill(
     share = offset - np.floor(offset)
     corner = low + (share - (share > 0.0)) * spacing
     cell_count = np.maximum(np.ceil((high - corner) / spacing - 1e-6), 1).astype(np.int64)
-    x, y = (
+    grid = Grid(corner, np.full(3, float(spacing)), cell_count)
+    return _checked_blocks(parts, (_blocks(parts, boxes, grid, samples),), grid.spacing, grid.corner)
+
+
+def fill_each(
+    parts: Sequence[Part],
+    *,
+    spacing: float,
+    exclude_boxes: np.ndarray | None = None,
+    planes: Mapping[tuple[int, int], float] | None = None,
+    samples: int = 12,
+) -> Quadrature:
+    """As `fill`, every part on a grid of its own that fits its free material.
+
+    spacing: of the grids, along each axis as near to it as makes a whole number of cells [m]; planes: for
+    (part, axis) a coordinate where a boundary between cells has to lie, as where a hold grips [m].
+    A bar's cells are full, and what cells leave out of a symmetric section is as symmetric as the section.
+    Cells are numbered from 1 on every grid.
+    """
+    boxes = checked_boxes(exclude_boxes, "exclude_boxes")
+    _checked(parts, spacing, np.zeros(3), samples)
+    found, grids = [], []
+    for number, part in enumerate(parts):
+        # What an earlier part owns is its own.
+        near = [p for p in parts[:number] if _overlap(p, part)]
+        low, high, free = _free_extent([*near, part], boxes, spacing, samples)
+        cells = [_fitting(low[a], high[a], spacing, (planes or {}).get((number, a))) for a in range(3)]
+        corner, size, count = (np.array(values) for values in zip(*cells, strict=True))
+        grid = Grid(corner, size, count)
+        blocks = _blocks([*near, part], boxes, grid, samples)
+        found.append(blocks.only(len(near), number, len(parts), free))
+        grids.append(grid)
+    size, corner = (np.stack([getattr(g, name) for g in grids]) for name in ("spacing", "corner"))
+    return _checked_blocks(parts, found, size, corner)
+
+
+class Grid(NamedTuple):
+    """corner: lower one of the first cell (3,) [m]; spacing: (3,) [m]; count: (3,) cells."""
+
+    corner: np.ndarray
+    spacing: np.ndarray
+    count: np.ndarray
+
+
+def _fitting(low: float, high: float, spacing: float, plane: float | None) -> tuple[float, float, int]:
+    """Lower end, spacing and count of cells along one axis that cover [low, high].
+
+    plane: where a boundary between cells has to be [m]. Else the cells stand as far beyond the one end as
+    beyond the other: not at all, unless the material is thinner than the least spacing.
+    """
+    inner = plane is not None and low - 1e-6 * spacing < plane < high + 1e-6 * spacing
+    length = max(high - plane, plane - low) if inner else high - low
+    count = max(1, round(length / spacing))
+    if length > LARGEST * spacing * count:
+        count += 1
+    size = max(length / count, SMALLEST * spacing)
+    if not inner:
+        return 0.5 * (low + high - count * size), size, count
+    below, above = (max(0, int(np.ceil(x / size - 1e-6))) for x in (plane - low, high - plane))
+    return plane - below * size, size, below + above
+
+
+def _overlap(one: Part, other: Part) -> bool:
+    return bool(
+        np.all(one.vertices.min(axis=0) < other.vertices.max(axis=0))
+        and np.all(other.vertices.min(axis=0) < one.vertices.max(axis=0))
+    )
+
+
+def _free_extent(
+    parts: Sequence[Part], boxes: np.ndarray, spacing: float, samples: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Lower and upper corner of the last part's free material [m], of all of it where none is free, and how
+    much of its volume is free."""
+    low, high = parts[-1].vertices.min(axis=0), parts[-1].vertices.max(axis=0)
+    count = np.maximum(np.ceil((high - low) / spacing - 1e-6), 1).astype(np.int64)
+    x, y = _strips(parts, boxes, Grid(low, np.full(3, spacing), count), samples)
+    segments = split_columns(parts, boxes, x, y)
+    mine = segments.part == len(parts) - 1
+    if not mine.any():
+        return low, high, 0.0
+    at_x, at_y = segments.x[mine], segments.y[mine]
+    least = np.array([x.low[at_x].min(), y.low[at_y].min(), segments.low[mine].min()])
+    most = np.array([x.high[at_x].max(), y.high[at_y].max(), segments.high[mine].max()])
+    volume = (x.width[at_x] * y.width[at_y] * (segments.high - segments.low)[mine]).sum()
+    return np.maximum(least, low), np.minimum(most, high), float(volume / segments.full_volume[-1])
+
+
+def _strips(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) -> tuple[Strips, Strips]:
+    return tuple(
         cut_axis(
-            float(corner[axis]),
-            spacing,
-            int(cell_count[axis]),
+            float(grid.corner[axis]),
+            float(grid.spacing[axis]),
+            int(grid.count[axis]),
             samples,
-            _planes(parts, boxes, axis, spacing, samples * int(cell_count[axis]) // 2),
+            _planes(parts, boxes, axis, float(grid.spacing[axis]), samples * int(grid.count[axis]) // 2),
         )
         for axis in (0, 1)
     )
+
+
+class _Blocks(NamedTuple):
+    """Blocks of one grid. cell: (B, 3); part: (B,); share: (B,) of a cell's volume; volume: (B,) [m^3];
+    points: (B, 8, 3) [m]; seen: (P,) volume of every part before anything was taken from it [m^3]."""
+
+    cell: np.ndarray
+    part: np.ndarray
+    share: np.ndarray
+    volume: np.ndarray
+    points: np.ndarray
+    seen: np.ndarray
+
+    def only(self, part: int, number: int, part_count: int, free: float) -> _Blocks:
+        """The blocks of one part, which is number `number` of `part_count`; free: share of it that they are,
+        for the grid reaches no further than they do."""
+        mine, seen = self.part == part, np.zeros(part_count)
+        seen[number] = self.volume[mine].sum() / free if free > 0.0 else self.seen[part]
+        kept = [values[mine] for values in (self.cell, self.part, self.share, self.volume, self.points)]
+        kept[1] = np.full(int(mine.sum()), number)
+        return _Blocks(*kept, seen)
+
+
+def _blocks(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) -> _Blocks:
+    x, y = _strips(parts, boxes, grid, samples)
     segments = split_columns(parts, boxes, x, y)
+    cell, part, share, mean, covariance = _moments(segments, x, y, grid)
+    points = mean[:, None] + np.einsum("kc,bac->bka", _CORNERS, _spread(mean, covariance))  # (B, 8, 3)
+    centre = grid.corner + (cell + 0.5) * grid.spacing
+    volume = share * grid.spacing.prod()
+    placed = centre[:, None] + points * grid.spacing
+    return _Blocks(cell, part, share, volume, placed, segments.full_volume)
+
+
+def _checked_blocks(
+    parts: Sequence[Part], found: Sequence[_Blocks], spacing: np.ndarray, corner: np.ndarray
+) -> Quadrature:
+    """All blocks, with the volumes of the meshes. spacing, corner: (3,), or (P, 3) of own grids [m]."""
+    seen = _seen(parts, np.sum([blocks.seen for blocks in found], axis=0))
+    cell, part, share, volume, points = (np.concatenate(x) for x in zip(*(b[:5] for b in found), strict=True))
     part_volume = np.array([mesh_volume(part) for part in parts])
-    cell, part, share, mean, covariance = _moments(segments, x, y, corner, spacing, cell_count)
-    sampled = np.bincount(part, weights=share, minlength=len(parts)) * spacing**3
-    free_volume = part_volume * sampled / _seen(parts, segments.full_volume)
+    sampled = np.bincount(part, weights=volume, minlength=len(parts))
+    free_volume = part_volume * sampled / seen
     kept = share >= SMALLEST_SHARE
-    cell, part, share, mean, covariance = (values[kept] for values in (cell, part, share, mean, covariance))
-    remaining = np.bincount(part, weights=share, minlength=len(parts))
-    for number in np.flatnonzero((remaining == 0.0) & (sampled > LARGEST_LOSS * segments.full_volume)):
+    cell, part, volume, points = cell[kept], part[kept], volume[kept], points[kept]
+    remaining = np.bincount(part, weights=volume, minlength=len(parts))
+    for number in np.flatnonzero((remaining == 0.0) & (sampled > LARGEST_LOSS * seen)):
         raise ValueError(
-            f"part '{parts[number].name}': no cell of {spacing} m holds {SMALLEST_SHARE} of its volume of "
-            "free material, expected a finer spacing"
+            f"part '{parts[number].name}': no cell of {float(np.max(spacing))} m holds {SMALLEST_SHARE} of "
+            "its volume of free material, expected a finer spacing"
         )
     if len(cell) == 0:
         raise ValueError("exclude_boxes: they hold all material, expected some of it to be free")
     free_volume[remaining == 0.0] = 0.0
-    volume = share * (free_volume / np.where(remaining > 0.0, remaining, 1.0))[part]
-    points = mean[:, None] + np.einsum("kc,bac->bka", _CORNERS, _spread(mean, covariance))  # (B, 8, 3)
-    centre = corner + (cell + 0.5) * spacing
+    volume = volume * (free_volume / np.where(remaining > 0.0, remaining, 1.0))[part]
     return Quadrature(
         origin=corner - 0.5 * spacing,
-        spacing=np.full(3, float(spacing)),
-        node_shape=cell_count + 2,
+        spacing=spacing,
+        node_shape=np.max([b.cell.max(axis=0, initial=0) for b in found], axis=0) + 3,
         cell=(cell + 1).astype(np.int32),
         part=part.astype(np.int32),
-        points=centre[:, None] + points * spacing,
+        points=points,
         volumes=np.repeat(volume[:, None] / 8.0, 8, axis=1),
         part_volume=part_volume,
         free_volume=free_volume,
@@ -158,10 +300,11 @@ def _seen(parts: Sequence[Part], full_volume: np.ndarray) -> np.ndarray:
 
 
 def _moments(
-    segments: Segments, x: Strips, y: Strips, corner: np.ndarray, spacing: float, cell_count: np.ndarray
+    segments: Segments, x: Strips, y: Strips, grid: Grid
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Blocks with their share of a cell, mean and covariance, in cells about the middle of their cell."""
-    low, high = (segments.low - corner[2]) / spacing, (segments.high - corner[2]) / spacing
+    corner, spacing, cell_count = grid
+    low, high = (segments.low - corner[2]) / spacing[2], (segments.high - corner[2]) / spacing[2]
     first = np.clip(np.floor(low), 0, cell_count[2] - 1).astype(np.int64)
     last = np.clip(np.ceil(high) - 1, first, cell_count[2] - 1).astype(np.int64)
     row, place = expand(last - first + 1)
@@ -169,11 +312,11 @@ def _moments(
     bottom = np.where(place == 0, low[row], level) - level - 0.5
     top = np.where(level == last[row], high[row], level + 1) - level - 0.5
     at_x, at_y = segments.x[row], segments.y[row]
-    width = np.stack([x.width[at_x] / spacing, y.width[at_y] / spacing, top - bottom], axis=1)
+    width = np.stack([x.width[at_x] / spacing[0], y.width[at_y] / spacing[1], top - bottom], axis=1)
     middle = np.stack(
         [
-            (x.middle[at_x] - corner[0]) / spacing - x.cell[at_x] - 0.5,
-            (y.middle[at_y] - corner[1]) / spacing - y.cell[at_y] - 0.5,
+            (x.middle[at_x] - corner[0]) / spacing[0] - x.cell[at_x] - 0.5,
+            (y.middle[at_y] - corner[1]) / spacing[1] - y.cell[at_y] - 0.5,
             0.5 * (bottom + top),
         ],
         axis=1,

@@ -22,7 +22,7 @@ def merge_slivers(quadrature: Quadrature, *, share: float) -> Quadrature:
     are joined smallest first to the neighbour with the most material, face neighbours preferred;
     one without any neighbour of its part stays.
     """
-    cell_volume = float(np.prod(quadrature.spacing))
+    least = share * quadrature.spacings.prod(1)[quadrature.part]
     volume = quadrature.volumes.sum(1)
     mean = quadrature.points.mean(1)
     deviation = quadrature.points - mean[:, None]
@@ -34,8 +34,8 @@ def merge_slivers(quadrature: Quadrature, *, share: float) -> Quadrature:
     volume, alive = volume.copy(), np.ones(len(volume), bool)
     changed = np.zeros(len(volume), bool)
     order = np.argsort(volume, kind="stable")
-    for block in order[volume[order] < share * cell_volume]:
-        if volume[block] >= share * cell_volume:
+    for block in order[volume[order] < least[order]]:
+        if volume[block] >= least[block]:
             continue  # it took in a smaller one
         best, target = 0.0, -1
         for step in _NEIGHBOURS:

@@ -16,6 +16,7 @@ from mphygs.scene.particles import (
     closest_material,
     exposed_surface,
     fill,
+    fill_each,
     hold_face,
 )
 from mphygs.scene.slivers import merge_slivers
@@ -96,14 +97,14 @@ class Body:
         return np.repeat(self.geometry["cell"], LANES, axis=0)
 
     def on_grid(self, cell: np.ndarray, part: np.ndarray | int) -> np.ndarray:
-        """Cells or nodes (..., 3) as they stand in space, numbered on the grid of a part."""
+        """Cells or nodes (..., 3) of a part's grid, in the numbering over all grids."""
         numbered = np.array(cell)
         numbered[..., 0] += np.asarray(part) * self.geometry.get("grid_width", 0)
         return numbered
 
     @cached_property
     def cells_of_part(self) -> dict[int, np.ndarray]:
-        """(C, 3) unique knot spans that hold material of each part with any, as they stand in space."""
+        """(C, 3) unique knot spans of its own grid that hold material of each part with any."""
         q = self.quadrature
         return {int(p): np.unique(q.cell[q.part == p], axis=0) for p in np.unique(q.part)}
 
@@ -129,12 +130,16 @@ class Body:
         result = np.empty((len(points), 3), np.int32)
         for p in np.unique(part):
             mine = part == p
-            result[mine] = self.on_grid(self.nearest_of(cells[int(p)], points[mine]), p)
+            result[mine] = self.on_grid(self.nearest_of(int(p), points[mine]), p)
         return result
 
-    def nearest_of(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """The nearest of some cells (C, 3), as they stand in space, to each point."""
-        position = (points - self.quadrature.origin) / self.quadrature.spacing
+    def in_cells(self, points: np.ndarray, part: int) -> np.ndarray:
+        """Points (..., 3) [m] in spacings of a part's grid, from its node 0."""
+        return (points - self.quadrature.origins[part]) / self.quadrature.spacings[part]
+
+    def nearest_of(self, part: int, points: np.ndarray) -> np.ndarray:
+        """The cell of a part's grid with material that is nearest to each point (M, 3) [m]."""
+        cells, position = self.cells_of_part[part], self.in_cells(points, part)
         result = np.empty((len(points), 3), np.int32)
         for start in range(0, len(points), 512):
             chunk = position[start : start + 512]
@@ -173,11 +178,18 @@ def hold_boxes(sequence: Sequence) -> np.ndarray:
 
 
 def discretise(
-    capture: Capture, boxes: np.ndarray, spacing: float, *, places: np.ndarray | None = None
+    capture: Capture,
+    boxes: np.ndarray,
+    spacing: float,
+    *,
+    places: np.ndarray | None = None,
+    fitting: bool = True,
 ) -> Body:
     """Discretise a capture's parts for given hold boxes.
 
-    boxes: (H, 2, 3) [m]; spacing: of the grid [m]; places: (K, 3) points for effects at a place [m].
+    boxes: (H, 2, 3) [m]; spacing: of the grids [m]; places: (K, 3) points for effects at a place [m];
+    fitting: every part's grid fits its material (see `mphygs.scene.quadrature.fill_each`), else all stand
+    alike.
     Raises ValueError where a hold touches no free material or the spacing misses a part.
     """
     parts = capture.parts
@@ -185,15 +197,20 @@ def discretise(
         hold_face(parts, box, spacing=spacing, other_boxes=np.delete(boxes, h, axis=0))
         for h, box in enumerate(boxes)
     ]
-    low = np.min([part.vertices.min(0) for part in parts], axis=0)
+    excluded = boxes if len(boxes) else None
     # A held face on the boundary between two cells leaves no slivers of material beside it.
-    offset = np.zeros(3)
-    for group in faces:
-        for face in group:
-            offset[face.axis] = ((face.coordinate - low[face.axis]) / spacing) % 1.0
-    quadrature = fill(
-        parts, spacing=spacing, exclude_boxes=boxes if len(boxes) else None, origin_offset=offset
-    )
+    if fitting:
+        gripped = {
+            (int(p), face.axis): face.coordinate for group in faces for face in group for p in set(face.part)
+        }
+        quadrature = fill_each(parts, spacing=spacing, exclude_boxes=excluded, planes=gripped)
+    else:
+        low = np.min([part.vertices.min(0) for part in parts], axis=0)
+        offset = np.zeros(3)
+        for group in faces:
+            for face in group:
+                offset[face.axis] = ((face.coordinate - low[face.axis]) / spacing) % 1.0
+        quadrature = fill(parts, spacing=spacing, exclude_boxes=excluded, origin_offset=offset)
     quadrature = merge_slivers(quadrature, share=SMALLEST_SHARE)
     centroid = np.array(
         [
@@ -207,17 +224,17 @@ def discretise(
             for p, part in enumerate(parts)
         ]
     )
-    # Every part has a grid of its own: one spline over a joint of stiff and soft would stiffen the soft side
+    # Every part has nodes of its own: one spline over a joint of stiff and soft would stiffen the soft side
     # for a spacing around. Beyond its nodes two columns stay free, so that no stencil reaches the next grid.
     width = int(quadrature.node_shape[0]) + 2 if len(parts) > 1 else 0
     numbered = quadrature.cell.copy()
     numbered[:, 0] += quadrature.part * width
-    filled = quadrature.volumes.sum(1) / np.prod(quadrature.spacing)
+    filled = quadrature.filled
     cells = np.bincount(quadrature.part, minlength=len(parts))
     thick = np.bincount(quadrature.part, filled, len(parts)) > THINNEST * cells
     geometry = {
-        "origin": quadrature.origin,
-        "spacing": quadrature.spacing,
+        "origin": quadrature.origins,
+        "spacing": quadrature.spacings,
         "grid_width": width,
         "cell": numbered,
         "part": quadrature.part,
@@ -227,7 +244,7 @@ def discretise(
     }
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
     geometry.update(_surface(body, boxes, spacing))
-    geometry.update(constraint_rows(body, faces))
+    geometry.update(constraint_rows(body, faces, spacing))
     if places is not None and len(places):
         geometry["places"] = np.asarray(places, float)
         geometry["place_cell"] = body.nearest_cell(np.asarray(places, float))
@@ -247,7 +264,7 @@ def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
         body.nearest_cell(samples.points, samples.part), axis=0, return_inverse=True
     )
     block = block.ravel()
-    centre = body.quadrature.origin + _standing(body, cells) * body.quadrature.spacing
+    centre = _centres(body, cells)
     octant = (samples.points > centre[block]) @ np.array([4, 2, 1])
     lane = block * LANES + octant
     area = np.bincount(lane, samples.area, minlength=LANES * len(cells))
@@ -261,10 +278,12 @@ def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
     }
 
 
-def _standing(body: Body, cells: np.ndarray) -> np.ndarray:
-    """Cells (C, 3) on the parts' grids, as they stand in space."""
-    width = body.geometry["grid_width"]
-    return np.column_stack([cells[:, 0] % width, cells[:, 1:]]) if width else cells
+def _centres(body: Body, cells: np.ndarray) -> np.ndarray:
+    """Middle of cells (C, 3), numbered over all grids [m]."""
+    q, width = body.quadrature, body.geometry["grid_width"]
+    part = cells[:, 0] // width if width else np.zeros(len(cells), int)
+    own = cells - np.stack([part * width, np.zeros_like(part), np.zeros_like(part)], axis=1)
+    return q.origins[part] + own * q.spacings[part]
 
 
 def with_places(body: Body, spots: np.ndarray) -> Body:

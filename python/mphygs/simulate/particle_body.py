@@ -48,7 +48,7 @@ def discretise_particles(capture: Capture, boxes: np.ndarray, spacing: float) ->
 
     boxes: (H, 2, 3) [m]; spacing: of the grid [m]. Raises ValueError as `discretise` does.
     """
-    grid = discretise(capture, boxes, spacing)
+    grid = discretise(capture, boxes, spacing, fitting=False)
     free = grid.quadrature
     layers = [_clamp(capture, boxes, h, grid) for h in range(len(boxes))]
     together = {

@@ -14,14 +14,15 @@ if TYPE_CHECKING:
     from mphygs.simulate.body import Body
 
 
-def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]]) -> dict:
+def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: float) -> dict:
     """Rows of the holds: the trace of the spline on every held face moves with the hold.
 
     On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
     is reproduced when each coefficient equals the motion of its Greville point, the column's place
     in the plane. Below them the rows that tie the parts' grids, numbered -1, -2, ... by joint in `row_hold`.
 
-    faces: of every hold (see `hold_face`). Raises ValueError where a hold touches no free material.
+    faces: of every hold (see `hold_face`); spacing: that the grids were made for [m].
+    Raises ValueError where a hold touches no free material.
     """
     q = body.quadrature
     steps = np.indices((3, 3, 3)).reshape(3, -1).T - 1
@@ -32,9 +33,10 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]]) -> dict:
         for face, part in ((f, p) for f in group for p in nodes_of if (f.part == p).any()):
             nodes, mine = nodes_of[part], face.part == part
             across = [a for a in range(3) if a != face.axis]
-            position = (face.points[mine] - q.origin) / q.spacing
+            origin, size = q.origins[part], q.spacings[part]
+            position = body.in_cells(face.points[mine], part)
             base = np.rint(position).astype(int)
-            height = (face.coordinate - q.origin[face.axis]) / q.spacing[face.axis]
+            height = (face.coordinate - origin[face.axis]) / size[face.axis]
             share: dict[tuple[int, int], float] = {}
             for p, b, area in zip(position, base, face.area[mine], strict=True):
                 w0, w1 = _spline(p[across[0]] - b[across[0]]), _spline(p[across[1]] - b[across[1]])
@@ -42,7 +44,7 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]]) -> dict:
                     for j in range(3):
                         key = (b[across[0]] + i - 1, b[across[1]] + j - 1)
                         share[key] = share.get(key, 0.0) + area * w0[i] * w1[j]
-            full = q.spacing[across[0]] * q.spacing[across[1]]
+            full = size[across[0]] * size[across[1]]
             for key, area in sorted(share.items()):
                 if area < 1e-4 * full:
                     continue
@@ -55,7 +57,7 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]]) -> dict:
                 begin.append(len(weight))
                 greville = np.empty(3)
                 greville[face.axis] = face.coordinate
-                greville[across] = q.origin[across] + np.array(key) * q.spacing[across]
+                greville[across] = origin[across] + np.array(key) * size[across]
                 target.append(greville)
                 hold.append(index)
                 rows += 1
@@ -64,7 +66,7 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]]) -> dict:
                 f"hold {index}: its box {body.boxes[index].tolist()} has no face with free material "
                 "beyond it, expected a box that holds a part of the object and leaves the rest free"
             )
-    for joint, nodes, values in _ties(body, faces):
+    for joint, nodes, values in _ties(body, faces, spacing):
         node += nodes.tolist()
         weight += values.tolist()
         begin.append(len(weight))
@@ -80,9 +82,11 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]]) -> dict:
     }
 
 
-def _ties(body: Body, faces: Sequence[Sequence[HoldFace]]) -> list[tuple[int, np.ndarray, np.ndarray]]:
+def _ties(
+    body: Body, faces: Sequence[Sequence[HoldFace]], spacing: float
+) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """Rows of the joints between parts that both have free material."""
-    q, cells = body.quadrature, body.cells_of_part
+    cells = body.cells_of_part
     if len(cells) < 2:
         return []
     grounded = sorted({int(p) for group in faces for face in group for p in face.part} & set(cells))
@@ -90,21 +94,20 @@ def _ties(body: Body, faces: Sequence[Sequence[HoldFace]]) -> list[tuple[int, np
         joint
         for joint in find_joints(
             body.parts,
-            spacing=float(q.spacing[0]),
+            spacing=spacing,
             exclude_boxes=body.boxes if len(body.boxes) else None,
             grounded=grounded,
         )
         if set(joint.parts) <= set(cells)
     ]
     weights = [tuple(_carried_by(body, joint.points, p) for p in joint.parts) for joint in joints]
-    return tie_rows(joints, weights, float(q.spacing[0]))
+    return tie_rows(joints, weights, spacing)
 
 
 def _carried_by(body: Body, points: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (Q, 27, 3) on a part's grid and shares (Q, 27) that carry points (Q, 3) as its material."""
-    q = body.quadrature
-    cell = body.nearest_of(body.cells_of_part[part], points)
-    x, y, z = np.moveaxis(_spline((points - q.origin) / q.spacing - cell), 2, 0)  # each (3, Q)
+    cell = body.nearest_of(part, points)
+    x, y, z = np.moveaxis(_spline(body.in_cells(points, part) - cell), 2, 0)  # each (3, Q)
     shares = np.einsum("iq,jq,kq->qijk", x, y, z).reshape(-1, 27)
     nodes = cell[:, None] + np.indices((3, 3, 3)).reshape(3, -1).T - 1
     return body.on_grid(nodes, part), shares
