@@ -1,29 +1,45 @@
 #include "mphygs/constraint.hpp"
 
 #include <Eigen/Dense>
+#include <numeric>
 
 namespace mphygs {
 
 Constraint::Constraint(const Geometry& g, const std::vector<std::int32_t>& node, const std::vector<double>& inverse_mass)
     : rows_(g.row_count()),
       holds_(static_cast<std::size_t>(g.hold_count)),
-      begin_(g.row_begin.begin(), g.row_begin.end()),
       nodes_(node),
-      hold_(g.row_hold),
-      weight_(g.row_weight) {
+      hold_(g.row_hold) {
+    by_row_.begin.assign(g.row_begin.begin(), g.row_begin.end());
+    by_row_.weight = g.row_weight;
     if (rows_ == 0) {
         return;
     }
     std::sort(nodes_.begin(), nodes_.end());
     nodes_.erase(std::unique(nodes_.begin(), nodes_.end()), nodes_.end());
     for (const std::int32_t n : node) {
-        place_.push_back(static_cast<std::size_t>(std::lower_bound(nodes_.begin(), nodes_.end(), n) - nodes_.begin()));
+        by_row_.column.push_back(static_cast<std::size_t>(std::lower_bound(nodes_.begin(), nodes_.end(), n) - nodes_.begin()));
+    }
+    by_node_.begin.assign(nodes_.size() + 1, 0);
+    for (const std::size_t place : by_row_.column) {
+        ++by_node_.begin[place + 1];
+    }
+    std::partial_sum(by_node_.begin.begin(), by_node_.begin.end(), by_node_.begin.begin());
+    by_node_.column.resize(node.size());
+    by_node_.weight.resize(node.size());
+    std::vector<std::size_t> next = by_node_.begin;
+    for (std::size_t r = 0; r < rows_; ++r) {
+        for (std::size_t w = by_row_.begin[r]; w < by_row_.begin[r + 1]; ++w) {
+            const std::size_t to = next[by_row_.column[w]]++;
+            by_node_.column[to] = r;
+            by_node_.weight[to] = by_row_.weight[w];
+        }
     }
     const Eigen::Index n = static_cast<Eigen::Index>(rows_);
     Eigen::MatrixXd c = Eigen::MatrixXd::Zero(n, static_cast<Eigen::Index>(inverse_mass.size()));
     for (std::size_t r = 0; r < rows_; ++r) {
-        for (std::size_t w = begin_[r]; w < begin_[r + 1]; ++w) {
-            c(static_cast<Eigen::Index>(r), node[w]) += weight_[w];
+        for (std::size_t w = by_row_.begin[r]; w < by_row_.begin[r + 1]; ++w) {
+            c(static_cast<Eigen::Index>(r), node[w]) += by_row_.weight[w];
         }
     }
     const Eigen::Map<const Eigen::VectorXd> m(inverse_mass.data(), static_cast<Eigen::Index>(inverse_mass.size()));

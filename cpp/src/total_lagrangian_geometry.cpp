@@ -6,6 +6,7 @@
 #include <numeric>
 #include <set>
 #include <string>
+#include <utility>
 
 #include "mphygs/parallel.hpp"
 #include "mphygs/transfers/total_lagrangian.hpp"
@@ -17,7 +18,10 @@ namespace {
 // Blocks that have to share a table for it to be in the cache when the next of them reads it.
 constexpr int common_table = 4;
 
-std::vector<std::int32_t> sorted_by_cell(const std::vector<std::int32_t>& cell) {
+/// Blocks from cell to cell, and in how many chunks they are worked on. Within a chunk no block follows one that is
+/// shifted against it by a node or two along z: its rows would be read, to be added to, before the four numbers that were
+/// just written there across their ends have left the processor's store buffer.
+std::vector<std::int32_t> sorted_by_cell(const std::vector<std::int32_t>& cell, int chunks) {
     std::vector<std::int32_t> order(cell.size() / 3);
     std::iota(order.begin(), order.end(), 0);
     std::stable_sort(order.begin(), order.end(), [&](std::int32_t a, std::int32_t b) {
@@ -25,6 +29,13 @@ std::vector<std::int32_t> sorted_by_cell(const std::vector<std::int32_t>& cell) 
         const std::int32_t* y = &cell[3 * static_cast<std::size_t>(b)];
         return std::lexicographical_compare(x, x + 3, y, y + 3);
     });
+    for (int c = 0; c < chunks; ++c) {
+        const auto at = [&](int chunk) { return order.begin() + static_cast<std::ptrdiff_t>(part_begin(order.size(), chunks, chunk)); };
+        std::stable_sort(at(c), at(c + 1), [&](std::int32_t a, std::int32_t b) {
+            const std::int32_t x = cell[3 * static_cast<std::size_t>(a) + 2], y = cell[3 * static_cast<std::size_t>(b) + 2];
+            return std::pair(x & 3, x) < std::pair(y & 3, y);
+        });
+    }
     return order;
 }
 
@@ -133,7 +144,8 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         }
         return key;
     };
-    order_ = sorted_by_cell(g.cell);
+    const int parts = static_cast<int>(std::clamp<std::size_t>(blocks / 32, 1, 16));
+    order_ = sorted_by_cell(g.cell, parts);
     for (const std::int32_t b : order_) {
         const std::size_t block = static_cast<std::size_t>(b);
         rows_.push_back(rows_of(&g.cell[3 * block]));
@@ -173,7 +185,7 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
 
     require(g.surface_points.size() == 24 * g.surface_count() && g.surface_area.size() == 8 * g.surface_count(),
             "surface_cell, surface_points and surface_area disagree in size");
-    surface_order_ = sorted_by_cell(g.surface_cell);
+    surface_order_ = sorted_by_cell(g.surface_cell, parts);
     for (const std::int32_t b : surface_order_) {
         const std::size_t block = static_cast<std::size_t>(b);
         surface_rows_.push_back(rows_of(&g.surface_cell[3 * block]));
@@ -202,7 +214,6 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
     }
 
     // Fixed chunks of blocks, each with the range of nodes that it touches.
-    const int parts = static_cast<int>(std::clamp<std::size_t>(blocks / 32, 1, 16));
     for (int c = 0; c < parts; ++c) {
         Chunk chunk{part_begin(blocks, parts, c), part_begin(blocks, parts, c + 1),
                     part_begin(surface_rows_.size(), parts, c), part_begin(surface_rows_.size(), parts, c + 1),

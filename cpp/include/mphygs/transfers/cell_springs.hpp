@@ -79,11 +79,11 @@ struct CellSprings {
     /// Adds sum_k factor_k w_k to one component of a field.
     void add(const std::array<T, shapes>& factor, const Rows& rows, T* field) const {
         for (int r = 0; r < row_count_27; ++r) {
-            FourNodes<T> x = read<FourNodes<T>>(field + rows[r]);
+            FourNodes<T> pull{};
             for (std::size_t k = 0; k < shapes; ++k) {
-                x += factor[k] * read<FourNodes<T>>(shape[k] + 4 * r);
+                pull += factor[k] * read<FourNodes<T>>(shape[k] + 4 * r);
             }
-            write(field + rows[r], x);
+            add_row<T>(field + rows[r], pull);
         }
     }
 

@@ -154,12 +154,21 @@ inline Vec3<PackPair> gather_value_pair(const float* field, std::size_t second, 
     return value_sums<PackPair>(field, stride, rows, table, BothAt{second}, twice);
 }
 
+/// Adds to the three nodes of a row, the last lane left out: lines of nodes are short, and a row of four read just after
+/// its neighbour was written across its first node waits until that has left the processor's store buffer.
+template <class T>
+[[gnu::always_inline]] inline void add_row(T* row, const FourNodes<T>& by) {
+    using Two = Vector<T, 2>;
+    const Two first{by[0], by[1]};
+    write(row, read<Two>(row) + first);
+    row[2] += by[2];
+}
+
 /// Adds nine rows of four to the rows of a component.
 template <class T>
 inline void add_rows(const T* flat, T* component, const Rows& rows) {
     for (int r = 0; r < row_count_27; ++r) {
-        T* row = component + rows[r];
-        write(row, read<FourNodes<T>>(row) + read<FourNodes<T>>(flat + 4 * r));
+        add_row<T>(component + rows[r], read<FourNodes<T>>(flat + 4 * r));
     }
 }
 template <class T>

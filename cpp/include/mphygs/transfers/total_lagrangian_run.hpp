@@ -413,7 +413,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         const Constraint& constraint = constraint_[0];
         const Geometry& g = model_.geometry_;
         const std::size_t rows = constraint.row_count(), nodes = constraint.nodes().size();
-        const double softness = static_cast<double>(lane_of(compliance_, 0)) / (dt * dt);
+        const double softness = static_cast<double>(lane_of(compliance_, 0)) / (dt * dt), rate = 1.0 / dt;
         held_.assign(nodes * N, 0.0);
         missed_.assign(rows * N, 0.0);
         impulse_.assign(rows * N, 0.0);
@@ -428,7 +428,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
                     if constexpr (First > 0) {
                         v[node] -= slope[node] * static_cast<T>(pull_[4 * k + c]);  // - d(M^-1) C^T lambda
                     }
-                    held_[k * N + column] = static_cast<double>(v[node]) + static_cast<double>(u[node]) / dt;
+                    held_[k * N + column] = static_cast<double>(v[node]) + static_cast<double>(u[node]) * rate;
                 }
             }
         }
