@@ -44,17 +44,41 @@ def test_a_sheet_much_thinner_than_a_cell_has_no_springs() -> None:
         assert ((sparse == 0.0) | ((sparse >= body.SMALLEST_SHARE) & (sparse < body.SPARSE))).all()
 
 
+@pytest.mark.parametrize("spacing", [0.0073, 0.0085, 0.0097])
+def test_a_bar_of_one_cell_to_a_section_has_two_and_springs(
+    spacing: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Points of single cells in a row see no more than a third of the shapes of their splines.
+    capture = bar_capture(lengths=(0.06,), side=0.0085, depth=0.008, gravity=np.zeros(3))
+    belief = bar_belief(capture, youngs_modulus=5e4, density=1000.0, prestress="off")
+    recording, settings = capture.sequences[0], Settings(spacing, dtype="float64", workers=1)
+
+    def slowest(count: int) -> np.ndarray:
+        made = body.discretise(capture, body.hold_boxes(recording), spacing)
+        assert sorted(np.ptp(made.quadrature.cell, axis=0) + 1)[:2] == [1, 2]
+        assert made.geometry["sparse"].any() == (body.NARROW > 0)
+        predictor = Predictor(capture, recording, settings, body=made)
+        return np.sqrt(np.maximum(natural_modes(predictor, belief, count).squared, 0.0)) / (2 * np.pi)
+
+    found = slowest(3)
+    np.testing.assert_allclose(found[:2], [2.50, 2.65], rtol=1e-2)
+    assert found[2] > 3.5 * found[0]
+    monkeypatch.setattr(body, "NARROW", 0)
+    monkeypatch.setattr(body, "SPARSE", 0.0)
+    assert slowest(3)[2] < 1.2 * found[0]
+
+
 def test_a_grid_that_fits_a_bar_has_full_cells_and_its_own_spacing() -> None:
     capture = bar_capture(lengths=(0.06, 0.033), side=0.0085, depth=0.008)
     boxes = body.hold_boxes(capture.sequences[0])
-    found = body.discretise(capture, boxes, 0.0085)
+    found = body.discretise(capture, boxes, 0.005)
     np.testing.assert_allclose(found.quadrature.filled, 1.0, rtol=1e-9)
     np.testing.assert_allclose(
-        found.quadrature.spacings, [[0.06 / 7, 0.0085, 0.008], [0.033 / 4, 0.0085, 0.008]], rtol=1e-9
+        found.quadrature.spacings, [[0.06 / 12, 0.00425, 0.004], [0.033 / 7, 0.00425, 0.004]]
     )
     # What the hold encloses is not part of it.
     assert found.quadrature.volumes.sum() == pytest.approx(0.093 * 0.0085 * 0.008, rel=1e-9)
-    common = body.discretise(capture, boxes, 0.0085, fitting=False)
+    common = body.discretise(capture, boxes, 0.005, fitting=False)
     assert common.quadrature.volumes.sum() == pytest.approx(0.093 * 0.0085 * 0.008, rel=1e-9)
 
 

@@ -122,9 +122,7 @@ def fill_each(
         # What an earlier part owns is its own.
         near = [p for p in parts[:number] if _overlap(p, part)]
         low, high, free = _free_extent([*near, part], boxes, spacing, samples)
-        cells = [_fitting(low[a], high[a], spacing, (planes or {}).get((number, a))) for a in range(3)]
-        corner, size, count = (np.array(values) for values in zip(*cells, strict=True))
-        grid = Grid(corner, size, count)
+        grid = _fitting_grid(low, high, spacing, [(planes or {}).get((number, a)) for a in range(3)])
         blocks = _blocks([*near, part], boxes, grid, samples)
         found.append(blocks.only(len(near), number, len(parts), free))
         grids.append(grid)
@@ -140,15 +138,31 @@ class Grid(NamedTuple):
     count: np.ndarray
 
 
-def _fitting(low: float, high: float, spacing: float, plane: float | None) -> tuple[float, float, int]:
-    """Lower end, spacing and count of cells along one axis that cover [low, high].
+def _fitting_grid(
+    low: np.ndarray, high: np.ndarray, spacing: float, planes: Sequence[float | None]
+) -> Grid:
+    """The cells that cover a box, see `_fitting`; a column of single cells becomes one of pairs: its points
+    do not see all shapes of the splines, and no neighbour holds those."""
+    cells = [_fitting(*ends) for ends in zip(low, high, [spacing] * 3, planes, strict=True)]
+    single = [a for a in range(3) if cells[a][2] == 1]
+    if len(single) > 1:
+        widest = max(single, key=lambda a: high[a] - low[a])
+        cells[widest] = _fitting(low[widest], high[widest], spacing, planes[widest], least=2)
+    corner, size, count = (np.array(values) for values in zip(*cells, strict=True))
+    return Grid(corner, size, count)
+
+
+def _fitting(
+    low: float, high: float, spacing: float, plane: float | None, least: int = 1
+) -> tuple[float, float, int]:
+    """Lower end, spacing and count of cells along one axis that cover [low, high], `least` of them at least.
 
     plane: where a boundary between cells has to be [m]. Else the cells stand as far beyond the one end as
     beyond the other: not at all, unless the material is thinner than the least spacing.
     """
     inner = plane is not None and low - 1e-6 * spacing < plane < high + 1e-6 * spacing
     length = max(high - plane, plane - low) if inner else high - low
-    count = max(1, round(length / spacing))
+    count = max(least, round(length / spacing))
     if length > LARGEST * spacing * count:
         count += 1
     size = max(length / count, SMALLEST * spacing)

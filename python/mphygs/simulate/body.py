@@ -28,6 +28,8 @@ SMALLEST_SHARE = 0.1
 # Cells filled less than this have shapes that their points do not see: springs hold those, but for parts that
 # fill less of their cells on average: flowers with petals far thinner than a cell fitted worse with them.
 SPARSE, THINNEST = 0.5, 1.0 / 3.0
+# So do all cells of a bar that has so many to a section: no neighbour holds what their points do not see.
+NARROW = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +234,8 @@ def discretise(
     filled = quadrature.filled
     cells = np.bincount(quadrature.part, minlength=len(parts))
     thick = np.bincount(quadrature.part, filled, len(parts)) > THINNEST * cells
+    narrow = np.array([_section(quadrature.cell[quadrature.part == p]) <= NARROW for p in range(len(parts))])
+    sparse = (filled < SPARSE) | narrow[quadrature.part]
     geometry = {
         "origin": quadrature.origins,
         "spacing": quadrature.spacings,
@@ -239,7 +243,7 @@ def discretise(
         "cell": numbered,
         "part": quadrature.part,
         "points": quadrature.points,
-        "sparse": np.where((filled < SPARSE) & thick[quadrature.part], filled, 0.0),
+        "sparse": np.where(sparse & thick[quadrature.part], filled, 0.0),
         "part_count": len(parts),
     }
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
@@ -249,6 +253,14 @@ def discretise(
         geometry["places"] = np.asarray(places, float)
         geometry["place_cell"] = body.nearest_cell(np.asarray(places, float))
     return body
+
+
+def _section(cell: np.ndarray) -> int:
+    """Cells of a part across its longest axis. cell: (B, 3) its cells."""
+    if len(cell) == 0:
+        return 0
+    count = np.ptp(cell, axis=0) + 1
+    return int(np.prod(count) // count.max())
 
 
 def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
