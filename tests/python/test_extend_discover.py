@@ -269,11 +269,14 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
         "wind": {0.5: 300.0, 1.0: 100.0},  # the fifth, and not alike
         "gravity": {},  # cannot be simulated there
         "plasticity": {0.5: 110.0, 0.75: 900.0, 1.0: 100.0},  # the only one at 0.75
+        "relaxation": {0.5: 125.0, 1.0: 301.0},  # three times what the best leaves
     }
     fitted: list[tuple[str, float]] = []
+    bounds: dict[tuple[str, float], float] = {}
 
-    def fit(share: float, belief: str) -> object:
+    def fit(share: float, belief: str, *, hopeless: float) -> object:
         fitted.append((belief, share))
+        bounds[belief, share] = hopeless
         if share not in courses[belief]:
             raise SimulationError("unstable")
         return SimpleNamespace(belief=belief, evaluation=evaluation_of(courses[belief][share]))
@@ -292,6 +295,9 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
     assert ("wind", 1.0) not in fitted
     assert [share for name, share in fitted if name == "plasticity"] == [0.5, 0.75, 1.0]
     assert all(solution.evaluation.chi_square < 111.0 for _, solution in found)
+    # On all frames no more is worth while than three times what the best so far leaves; on the way all is.
+    assert bounds["viscosity", 0.5] == bounds["relaxation", 0.5] == np.inf
+    assert bounds["mass_damping", 1.0] == refits.BEHIND * 100.0
     few = [item for item in begun if item[0].effect in ("viscosity", "air_drag", "wind")]
     assert len(followed_onward(experiment, 0.25, few, SPACING)) == 3  # so many go on whatever they leave
 

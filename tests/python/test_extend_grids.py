@@ -43,13 +43,17 @@ def scene() -> tuple[Experiment, Belief]:
 
 @cache
 def default() -> float:
-    """Spacing that the object is worth: about 250 cells of its 2 x 2 x 6.6 cm."""
+    """Spacing that the object is worth: about 120 cells of its 2 x 2 x 6.6 cm."""
     return default_spacing(scene()[0].capture)
 
 
-def test_spacings_are_those_of_250_cells() -> None:
-    assert default() == pytest.approx((0.066 * 0.02 * 0.02 / 250.0) ** (1.0 / 3.0), rel=0.01)
-    assert screening_spacing(scene()[0].capture) == pytest.approx(1.7 * default(), rel=1e-3)
+def trying() -> float:
+    return screening_spacing(scene()[0].capture)
+
+
+def test_spacings_are_those_of_120_cells() -> None:
+    assert default() == pytest.approx((0.066 * 0.02 * 0.02 / 120.0) ** (1.0 / 3.0), rel=0.01)
+    assert trying() == pytest.approx(1.33 * default(), rel=1e-3)
 
 
 # ---- the next spacing -------------------------------------------------------------------------
@@ -97,7 +101,7 @@ def test_the_default_grid_is_asked_where_the_coarse_one_may_have_all_that_is_lef
     own: float, before: float, added: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
-    first, last = (step_of(assessment_of(r), spacing=1.7 * default()) for r in (before, 9.0))
+    first, last = (step_of(assessment_of(r), spacing=trying()) for r in (before, 9.0))
     last = replace(last, added=added, solution=solution_of(plain_belief(), evaluation_of(8100.0)))
     assert grids.next_spacing(scene()[0], [first, last]) == (default() if asked else None)
 
@@ -118,7 +122,7 @@ def test_a_first_model_that_the_coarse_grid_may_have_bent_is_asked_again(
 ) -> None:
     """Gross in unseen frames, not in those fitted."""
     monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
-    step = step_of(assessment_of(misfit, 5.0), spacing=1.7 * default(), chi_square=100.0 * misfit**2)
+    step = step_of(assessment_of(misfit, 5.0), spacing=trying(), chi_square=100.0 * misfit**2)
     found = grids.next_spacing(scene()[0], [step, replace(step, added=added)] if added else [step])
     assert found == (default() if asked else None)
 
@@ -128,7 +132,7 @@ def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyP
 
     def seen_and_not(fit: float, predict: float) -> Step:
         ratio = {"a": {"fit": fit, "predict": predict}}
-        return step_of(replace(assessment_of(1.0), ratio=ratio), spacing=1.7 * default())
+        return step_of(replace(assessment_of(1.0), ratio=ratio), spacing=trying())
 
     first, last = seen_and_not(9.0, 6.0), seen_and_not(1.5, 5.5)
     for effect, asked in (("contact", True), ("viscosity", False)):
@@ -139,9 +143,9 @@ def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyP
 
 
 def test_the_first_model_is_asked_again_as_well() -> None:
-    only = step_of(assessment_of(2.0), spacing=1.7 * default())
+    only = step_of(assessment_of(2.0), spacing=trying())
     assert grids.next_spacing(scene()[0], [only]) == default()
-    gross = step_of(assessment_of(8.0), spacing=1.7 * default(), chi_square=6400.0)
+    gross = step_of(assessment_of(8.0), spacing=trying(), chi_square=6400.0)
     assert grids.next_spacing(scene()[0], [gross]) is None
 
 
@@ -178,8 +182,7 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
     monkeypatch: pytest.MonkeyPatch, worst: float
 ) -> None:
     experiment, truth = scene()
-    coarse = screening_spacing(experiment.capture)
-    own, lent = (experiment.compare(truth, spacing) for spacing in (default(), coarse))
+    own, lent = (experiment.compare(truth, spacing) for spacing in (default(), trying()))
     monkeypatch.setattr(Experiment, "assess", lambda *_: SimpleNamespace(worst=worst))
     found = finer.with_tangents(
         experiment, experiment.compare(truth, default(), jacobian=False), truth, default()
@@ -187,17 +190,27 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
     for name, item in found.items():
         assert np.array_equal(item.predicted, own[name].predicted, equal_nan=True)
         wanted = own if worst == 1.2 else lent
-        assert item.tangents_of == (default() if worst == 1.2 else coarse)
+        assert item.tangents_of == (default() if worst == 1.2 else trying())
         assert np.array_equal(item.jacobian, wanted[name].jacobian, equal_nan=True)
         assert not np.array_equal(own[name].jacobian, lent[name].jacobian, equal_nan=True)
 
     def unstable(*_: object, **__: object) -> None:
         raise SimulationError("too soft")
 
-    monkeypatch.setattr(experiment.predictor("a", coarse), "predict", unstable)
-    experiment.predictor("a", coarse).forget()
+    monkeypatch.setattr(experiment.predictor("a", trying()), "predict", unstable)
+    experiment.predictor("a", trying()).forget()
     kept = finer.with_tangents(experiment, found, truth, default())
     assert np.array_equal(kept["a"].jacobian, own["a"].jacobian, equal_nan=True)
+
+
+def test_a_gross_misfit_asks_for_no_tangents_on_all_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, truth = scene()
+    without = experiment.compare(truth, COARSE, jacobian=False)
+    monkeypatch.setattr(Experiment, "assess", lambda *_: SimpleNamespace(worst=LARGEST_GRID_ERROR))
+    assert finer.with_tangents(experiment, without, truth, COARSE) is without
+    assert without["a"].jacobian.shape[-1] == 0
+    gross = replace(step_of(assessment_of(LARGEST_GRID_ERROR)), belief=truth, compared=without)
+    assert grids.complete(experiment, gross) is gross
 
 
 def test_no_step_where_another_grid_cannot_carry_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,8 +224,8 @@ def test_no_step_where_another_grid_cannot_carry_the_model(monkeypatch: pytest.M
     monkeypatch.setattr(grids, "minimise", unstable)
     assert grids.on_grid(experiment, before, FINE, said.append) is None
     assert said[-1] == "grid of 7.5 mm: unstable at frame 3"
-    refined = grids.refined(experiment, [replace(before, spacing=1.7 * default())], None, screening=True)
-    assert refined.spacing == 1.7 * default()
+    refined = grids.refined(experiment, [replace(before, spacing=trying())], None, screening=True)
+    assert refined.spacing == trying()
 
 
 def test_the_budget_says_how_much_is_the_grids_own() -> None:
@@ -229,7 +242,7 @@ def test_the_budget_says_how_much_is_the_grids_own() -> None:
 # ---- what is done with a step -----------------------------------------------------------------
 @cache
 def steps_told() -> tuple[float, float]:
-    return 1.7 * default(), default()
+    return trying(), default()
 
 
 def told(
@@ -255,7 +268,7 @@ def told(
     def with_budget(
         _experiment: object, one: Step, _report: object = None, *, beside: float | None = None
     ) -> Step:
-        assert beside in (None, 1.7 * default())
+        assert beside in (None, trying())
         done.append("budget" if beside is None else "rough")
         if beside is None or shares is None:
             return one
@@ -344,7 +357,7 @@ def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyP
 # ---- the grid for a search --------------------------------------------------------------------
 def probe(monkeypatch: pytest.MonkeyPatch, fine: Step, coarse: Step | None) -> Step:
     monkeypatch.setattr(grids, "on_grid", lambda _e, _s, spacing, _r: coarse)
-    return grids.probed(scene()[0], fine, 1.7 * default())
+    return grids.probed(scene()[0], fine, trying())
 
 
 def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(

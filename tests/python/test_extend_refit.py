@@ -216,17 +216,19 @@ def test_a_refit_is_finished_and_judged_on_unseen_frames() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "misfit", "begun"),
+    ("kind", "misfit", "grid", "begun"),
     [
-        ("smooth", 1.2, ["anew", "place"]),
+        ("smooth", 1.2, 0.6, ["anew", "place"]),
+        # all of it may be the grid's: 0.66 sigma beyond noise
+        ("smooth", 1.2, 0.7, ["place"]),
         # at the floor; far from it; what sets in
-        ("smooth", 1.02, ["place"]),
-        ("smooth", 1.3, ["place"]),
-        ("threshold", 1.2, ["place"]),
+        ("smooth", 1.02, 0.0, ["place"]),
+        ("smooth", 1.3, 0.0, ["place"]),
+        ("threshold", 1.2, 0.0, ["place"]),
     ],
 )
 def test_a_refit_near_the_floor_begins_anew_before_its_place_is_sought(
-    kind: str, misfit: float, begun: list[str], monkeypatch: pytest.MonkeyPatch
+    kind: str, misfit: float, grid: float, begun: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment, before, entry, _ = scene()
     done: list[str] = []
@@ -235,6 +237,7 @@ def test_a_refit_near_the_floor_begins_anew_before_its_place_is_sought(
     left = replace(before, evaluation=replace(before.evaluation, residual=residual), converged=True)
     monkeypatch.setattr(refit, "minimise", lambda *_, **__: left)
     monkeypatch.setattr(refit, "fitted_anew", lambda _e, found, *_: done.append("anew") or found)
+    monkeypatch.setattr(refit, "unabsorbed", lambda *_: grid)
     monkeypatch.setattr(refit, "relocated", lambda _p, found, **_: done.append("place") or found)
     compared = experiment.compare(before.belief, SPACING, jacobian=False)
     entry = replace(entry, kind=kind)

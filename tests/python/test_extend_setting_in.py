@@ -78,3 +78,12 @@ def test_all_is_fitted_after_that(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [(len(keys), count) for keys, count in calls] == [(4, setting_in.ALONE), (5, 5)]
     assert solution.belief[FREE[0]].value == pytest.approx(YOUNG, rel=0.02)
     assert solution.evaluation.misfit < 1.1
+
+
+def test_what_is_hopeless_after_one_iteration_is_left_there() -> None:
+    problem, belief = struck()
+    off = belief.with_parameter(FREE[0], value=1.05 * YOUNG)
+    within = fit_what_sets_in(problem, off, hopeless=1e9)
+    assert within.evaluation.misfit < 1.1
+    beyond = fit_what_sets_in(problem, off, hopeless=1e-9)
+    assert len(beyond.history) <= 2 and beyond.evaluation.chi_square >= within.evaluation.chi_square

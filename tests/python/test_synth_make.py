@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from mphygs.capture.format import load_capture
-from mphygs.fit.schedule import default_spacing
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.synth import embedded_capture
 from mphygs.synth.make import make_capture
-from mphygs.synth.recipe import Recipe, default_takes, recipe
+from mphygs.synth.recipe import Recipe, default_takes, recipe, truth_spacing
 from mphygs.synth.shapes import shape
 from mphygs.synth.truth import true_belief
 from synth_example import made, small, tracks
 
 
 def residual(capture, made_of: Recipe, share: float) -> float:
-    """Root mean square over sigma of what the true model leaves, at a share of the default spacing."""
+    """Root mean square over sigma of what the true model leaves, at a share as `Recipe` states it."""
     recording = capture.sequences[0]
-    settings = Settings(spacing=share * default_spacing(capture), workers=1)
+    spacing = truth_spacing(share, sum(part.volume for part in capture.parts))
+    settings = Settings(spacing=spacing, workers=1)
     predicted = Predictor(capture, recording, settings).predict(true_belief(capture, made_of, made_of.hidden))
     difference = recording.markers.position - predicted.position
     return float(np.sqrt(np.nanmean(difference**2)) / recording.markers.sigma)

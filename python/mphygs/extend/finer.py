@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.compare.assess import LARGEST_EXCUSED, PRACTICAL_FLOOR, Compared
+from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR, PRACTICAL_FLOOR, Compared
 from mphygs.extend.step import Step, from_grid_to_grid, known_budget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import borrowed, minimise, told, with_jacobian_of
@@ -189,8 +189,12 @@ def with_tangents(
     """A comparison with the tangents of its prediction on all frames, the dearest of all runs.
 
     Those of the screening grid instead of `spacing` [m] where the misfit itself says that the model explains
-    the motion, or that no test of the floor will excuse it: they decide nothing then.
+    the motion, or that no test of the floor will excuse it: they decide nothing then. None at all where no
+    grid's error will excuse it either.
     """
+    worst = experiment.assess(compared).worst
+    if worst >= LARGEST_GRID_ERROR:
+        return compared
 
     def lent_by(grid: float) -> dict[str, Compared]:
         there = experiment.compare(belief, grid)
@@ -200,7 +204,7 @@ def with_tangents(
         }
 
     coarse = screening_spacing(experiment.capture)
-    doubtful = PRACTICAL_FLOOR < experiment.assess(compared).worst <= LARGEST_EXCUSED
+    doubtful = PRACTICAL_FLOOR < worst <= LARGEST_EXCUSED
     if spacing > coarse / LENDS or doubtful:
         return lent_by(spacing)
     try:

@@ -254,7 +254,10 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
 
 
 def complete(experiment: Experiment, step: Step) -> Step:
-    """The step with the tangents of its prediction, which the floor test takes and rivals go without."""
+    """The step with the tangents of its prediction, which the floor test takes and rivals go without; without
+    where the misfit is gross (see `with_tangents`)."""
+    if step.assessment.worst >= LARGEST_GRID_ERROR:
+        return step
     if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
         return step
     if step.lender is None:

@@ -29,8 +29,9 @@ LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
 # Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
 # near the best one even then is not begun. What sets in has no tangents.
 TELLING, BEYOND_TANGENTS = 4.0, 3.0
-# An effect that leaves so many times the best one's chi^2 after an iteration is not followed.
-HOPELESS = 10.0
+# An effect that leaves so many times the best one's chi^2 after an iteration is not followed; one that leaves
+# so many times as much once it was followed onward is not brought to the end.
+HOPELESS, BEHIND = 10.0, 3.0
 # What is tried on a coarse grid is not worth its last digits.
 SCREENING_ACCURACY = 1e-3
 
@@ -94,7 +95,7 @@ def refits_of(
     finished: list[Refit] = []
     for number, (chi_square, entry, solution) in enumerate(begun):
         # What the coarse grid has of its own may put the true effect a little behind.
-        if chi_square > (3.0 if number < FINISHED else NEARLY) * begun[0][0]:
+        if chi_square > (BEHIND if number < FINISHED else NEARLY) * begun[0][0]:
             break
         result = finish_refit(
             experiment,
@@ -132,10 +133,15 @@ def followed_onward(
             if reach not in plan:
                 passing.append((entry, solution, plan))
                 continue
+            best = min((fit.evaluation.chi_square for _, fit, _ in there), default=np.inf)
+            # Behind on the way is not behind in the end.
+            hopeless = BEHIND * best if reach == 1.0 else np.inf
             try:
-                there.append((entry, fit_what_sets_in(problem, solution.belief), plan))
+                fit = fit_what_sets_in(problem, solution.belief, hopeless=hopeless)
             except SimulationError:
                 continue
+            if fit.evaluation.chi_square <= hopeless:
+                there.append((entry, fit, plan))
         there.sort(key=lambda item: item[1].evaluation.chi_square)
         if reach < 1.0:
             there = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -50,10 +51,18 @@ def fit_what_sets_in(
     *,
     iterations: int = TOGETHER,
     lender: Problem | None = None,
+    hopeless: float = math.inf,
     report: Report | None = None,
 ) -> Solution:
-    """A fit that finds first what sets in (see `placed`) and then all. Raises SimulationError."""
+    """A fit that finds first what sets in (see `placed`) and then all.
+
+    hopeless: chi^2 above which it ends after the first iteration. Raises SimulationError.
+    """
     belief = placed(problem, belief, lender=lender, report=report)
+    first = 1 if math.isfinite(hopeless) else iterations
+    found = minimise(problem, belief, iterations=first, relative_tolerance=1e-3, lender=lender, report=report)
+    if first == iterations or found.converged or found.evaluation.chi_square > hopeless:
+        return found
     return minimise(
-        problem, belief, iterations=iterations, relative_tolerance=1e-3, lender=lender, report=report
+        problem, found.belief, iterations=iterations - first, relative_tolerance=1e-3, report=report
     )

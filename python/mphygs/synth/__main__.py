@@ -51,7 +51,7 @@ class SynthOptions(CommonOptions):
     known: Literal["first-density", "densities", "mass"] = "first-density"
     """What the capture tells of the masses: density of the first part, of all parts, or the whole mass."""
     spacing_share: float = 0.62
-    """Grid spacing of the truth over the default spacing of a fit."""
+    """Grid spacing of the truth over that at which the object is worth 250 cells."""
     simulator: Literal["total-lagrangian", "finite-element"] = "total-lagrangian"
     """What computes the truth: the core on its own grid, or independent finite elements (bars only)."""
     seed: int = 0

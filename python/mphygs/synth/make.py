@@ -13,12 +13,11 @@ import numpy as np
 from mphygs.capture.format import Capture, Hold, Known, Markers, save_capture
 from mphygs.capture.motions import hold_poses
 from mphygs.capture.record import Sequence as Recording
-from mphygs.fit.schedule import default_spacing
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.markers import measure, place_markers
-from mphygs.synth.recipe import Recipe, Take
+from mphygs.synth.recipe import Recipe, Take, truth_spacing
 from mphygs.synth.truth import Motion, simulate
 
 
@@ -47,7 +46,7 @@ def make_capture(
     faults = {thing.name: thing.values for thing in recipe.of_kind("fault")}
     offset = faults["time_offset"]["offset"] if "time_offset" in faults else 0.0
     capture = _bare_capture(recipe, folder, places)
-    spacing = recipe.spacing_share * default_spacing(capture)
+    spacing = truth_spacing(recipe.spacing_share, sum(part.volume for part in capture.parts))
     run = simulate_finite_element if recipe.simulator == "finite-element" else simulate
     physics = tuple(h for h in recipe.hidden if h.kind != "fault")
     recordings, differences, outliers, substeps = [], [], {}, []

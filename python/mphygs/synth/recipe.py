@@ -38,12 +38,25 @@ class Take:
     release: int | None = None
 
 
+# Cells of the grid whose spacing the truth's is stated in: twice those of a fit's default grid.
+TRUTH_CELLS = 250
+
+
+def truth_spacing(share: float, volume: float) -> float:
+    """Spacing of the truth's grid [m]: a share of that at which an object is worth TRUTH_CELLS cells.
+
+    volume: of the object [m^3].
+    """
+    return share * float(np.cbrt(volume / TRUTH_CELLS))
+
+
 @dataclass(frozen=True, eq=False)
 class Recipe:
     """Everything a capture is made of; the same recipe gives the same files.
 
-    spacing_share: of the fit's default spacing, at which the truth is simulated; known: what the capture
-    states beside Poisson's ratio, the density of the first part, of all parts, or the mass of the object.
+    spacing_share: of the spacing at which the object is worth TRUTH_CELLS cells, at which the truth is
+    simulated (see `truth_spacing`); known: what the capture states beside Poisson's ratio, the density of the
+    first part, of all parts, or the mass of the object.
     simulator: "total-lagrangian", or "finite-element" for code that shares nothing with the model fitted; its
     bricks are twice the spacing, having three nodes each way.
     """

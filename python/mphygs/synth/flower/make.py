@@ -25,10 +25,7 @@ from mphygs.synth.flower.shoot import Shoot
 from mphygs.synth.flower.stored import Stored
 from mphygs.synth.hidden import parse
 from mphygs.synth.make import Made
-from mphygs.synth.recipe import Recipe, Take
-
-# Cells of a fit's grid that its default spacing gives an object.
-FIT_CELLS = 250
+from mphygs.synth.recipe import Recipe, Take, truth_spacing
 
 
 def make_flower(
@@ -126,7 +123,7 @@ def _recipe(flower: Flower, hidden: Sequence[str], seed: int, shoot: Shoot) -> R
 
 
 def _spacing(flower: Flower, shoot: Shoot) -> float:
-    return shoot.spacing_share * float(np.cbrt(flower.shape.volume / FIT_CELLS))
+    return truth_spacing(shoot.spacing_share, flower.shape.volume)
 
 
 def _tracked(flower: Flower, count: int, seed: int) -> np.ndarray:
