@@ -66,7 +66,7 @@ class DiscoverOptions(CommonOptions):
     transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
     """How particles and grid exchange momentum."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
-    """Grid spacing [m]; default: 1.33 times that of fit, for many models are tried."""
+    """Grid spacing [m]; default: 1.7 times that of fit, for many models are tried."""
     stages: Path | None = None
     """Of a capture in pictures: run folder whose stages are used, and made where they are missing; default:
     the run folder itself."""

@@ -600,6 +600,7 @@ def test_what_explains_too_little_is_not_kept(
         "step_of": lambda *_: found, "settled": lambda *_, **__: found, "pruned": lambda _e, step, *_: step,
         "reconciled": lambda _e, step, _r: step, "refined": lambda _e, steps, *_, **__: steps[-1],
         "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "polished": lambda _e, step, _r: step,
+        "finely": lambda _e, step, _r: step,
         "with_budget": lambda _e, step, _r, **_: step, "screening_spacing": lambda _c: SPACING,
         "anew": lambda _e, step, _r: step,
     }  # fmt: skip
@@ -631,6 +632,7 @@ def test_a_step_that_was_kept_is_not_asked_again_for_its_grid(
     steps = [replace(step_of(done, added=names), warnings=(f"of {names}",)) for names in added]
     monkeypatch.setattr(discover, "refined", refined)
     monkeypatch.setattr(discover, "polished", lambda _e, step, _r: step)
+    monkeypatch.setattr(discover, "finely", lambda _e, step, _r: step)
     monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
     monkeypatch.setattr(discover, "readmitted", lambda _e, step, _r: step)
     monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)
@@ -650,7 +652,7 @@ def test_an_exchange_that_explains_no_longer_is_not_made(
     steps = [step_of(near, added=names) for names in ((), ("viscosity",), ("gravity",))]
     other = [replace(step_of(assessment_of(worst), added=("wind",)), dropped=("viscosity",))]
     monkeypatch.setattr(discover, "exchanged", lambda *_, **__: other.pop() if other else None)
-    for name in ("polished", "anew", "reconciled"):
+    for name in ("polished", "finely", "anew", "reconciled"):
         monkeypatch.setattr(discover, name, lambda _e, step, _r: step)
     monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
     monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)

@@ -24,7 +24,7 @@ from mphygs.extend import finer, grids
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import default_spacing, screening_spacing
+from mphygs.fit.schedule import deciding_spacing, default_spacing, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
@@ -42,18 +42,20 @@ def scene() -> tuple[Experiment, Belief]:
 
 
 @cache
-def default() -> float:
-    """Spacing that the object is worth: about 120 cells of its 2 x 2 x 6.6 cm."""
-    return default_spacing(scene()[0].capture)
+def deciding() -> float:
+    """Spacing on which models are decided between."""
+    return deciding_spacing(scene()[0].capture)
 
 
 def trying() -> float:
     return screening_spacing(scene()[0].capture)
 
 
-def test_spacings_are_those_of_120_cells() -> None:
-    assert default() == pytest.approx((0.066 * 0.02 * 0.02 / 120.0) ** (1.0 / 3.0), rel=0.01)
-    assert trying() == pytest.approx(1.33 * default(), rel=1e-3)
+def test_spacings_are_those_of_250_cells_and_fewer() -> None:
+    default = default_spacing(scene()[0].capture)
+    assert default == pytest.approx((0.066 * 0.02 * 0.02 / 250.0) ** (1.0 / 3.0), rel=0.01)
+    assert trying() == pytest.approx(1.7 * default, rel=1e-3)
+    assert deciding() == pytest.approx(1.28 * default, rel=1e-3)
 
 
 # ---- the next spacing -------------------------------------------------------------------------
@@ -81,9 +83,9 @@ def test_the_default_grid_is_asked_where_the_misfit_may_be_the_grids_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(grids, "unabsorbed", lambda *_: 0.0)
-    first, last = (step_of(assessment_of(r), spacing=factor * default()) for r in ratios)
+    first, last = (step_of(assessment_of(r), spacing=factor * deciding()) for r in ratios)
     found = grids.next_spacing(scene()[0], [first, replace(last, added=added)])
-    assert found == (default() if asked else None)
+    assert found == (deciding() if asked else None)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +105,7 @@ def test_the_default_grid_is_asked_where_the_coarse_one_may_have_all_that_is_lef
     monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
     first, last = (step_of(assessment_of(r), spacing=trying()) for r in (before, 9.0))
     last = replace(last, added=added, solution=solution_of(plain_belief(), evaluation_of(8100.0)))
-    assert grids.next_spacing(scene()[0], [first, last]) == (default() if asked else None)
+    assert grids.next_spacing(scene()[0], [first, last]) == (deciding() if asked else None)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +126,7 @@ def test_a_first_model_that_the_coarse_grid_may_have_bent_is_asked_again(
     monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
     step = step_of(assessment_of(misfit, 5.0), spacing=trying(), chi_square=100.0 * misfit**2)
     found = grids.next_spacing(scene()[0], [step, replace(step, added=added)] if added else [step])
-    assert found == (default() if asked else None)
+    assert found == (deciding() if asked else None)
 
 
 def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,14 +139,14 @@ def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyP
     first, last = seen_and_not(9.0, 6.0), seen_and_not(1.5, 5.5)
     for effect, asked in (("contact", True), ("viscosity", False)):
         found = grids.next_spacing(scene()[0], [first, replace(last, added=(effect,))])
-        assert found == (default() if asked else None)
+        assert found == (deciding() if asked else None)
     far = replace(seen_and_not(4.0, 5.5), added=("contact",))
     assert grids.next_spacing(scene()[0], [first, far]) is None
 
 
 def test_the_first_model_is_asked_again_as_well() -> None:
     only = step_of(assessment_of(2.0), spacing=trying())
-    assert grids.next_spacing(scene()[0], [only]) == default()
+    assert grids.next_spacing(scene()[0], [only]) == deciding()
     gross = step_of(assessment_of(8.0), spacing=trying(), chi_square=6400.0)
     assert grids.next_spacing(scene()[0], [gross]) is None
 
@@ -182,15 +184,15 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
     monkeypatch: pytest.MonkeyPatch, worst: float
 ) -> None:
     experiment, truth = scene()
-    own, lent = (experiment.compare(truth, spacing) for spacing in (default(), trying()))
+    own, lent = (experiment.compare(truth, spacing) for spacing in (deciding(), trying()))
     monkeypatch.setattr(Experiment, "assess", lambda *_: SimpleNamespace(worst=worst))
     found = finer.with_tangents(
-        experiment, experiment.compare(truth, default(), jacobian=False), truth, default()
+        experiment, experiment.compare(truth, deciding(), jacobian=False), truth, deciding()
     )
     for name, item in found.items():
         assert np.array_equal(item.predicted, own[name].predicted, equal_nan=True)
         wanted = own if worst == 1.2 else lent
-        assert item.tangents_of == (default() if worst == 1.2 else trying())
+        assert item.tangents_of == (deciding() if worst == 1.2 else trying())
         assert np.array_equal(item.jacobian, wanted[name].jacobian, equal_nan=True)
         assert not np.array_equal(own[name].jacobian, lent[name].jacobian, equal_nan=True)
 
@@ -199,7 +201,7 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
 
     monkeypatch.setattr(experiment.predictor("a", trying()), "predict", unstable)
     experiment.predictor("a", trying()).forget()
-    kept = finer.with_tangents(experiment, found, truth, default())
+    kept = finer.with_tangents(experiment, found, truth, deciding())
     assert np.array_equal(kept["a"].jacobian, own["a"].jacobian, equal_nan=True)
 
 
@@ -242,7 +244,7 @@ def test_the_budget_says_how_much_is_the_grids_own() -> None:
 # ---- what is done with a step -----------------------------------------------------------------
 @cache
 def steps_told() -> tuple[float, float]:
-    return trying(), default()
+    return trying(), deciding()
 
 
 def told(
@@ -279,7 +281,7 @@ def told(
     monkeypatch.setattr(grids, "on_grid", on_grid)
     monkeypatch.setattr(grids, "with_budget", with_budget)
     found = grids.refined(scene()[0], [step], None, screening=screening, tied=tied)
-    expected = after if ("grid", default()) in done and after is not None else step
+    expected = after if ("grid", deciding()) in done and after is not None else step
     assert found.belief is expected.belief and found.spacing == expected.spacing
     return done
 
@@ -509,3 +511,29 @@ def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
     assert found[FREE[0]].value == young[taken] and len(starts) == asked
     # Without a coarser grid to lend its Jacobians it begins from before.
     assert grids._met_again(experiment, coarse, 0.5, None, FINE)[FREE[0]].value == young["anew"]
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "changes", "kept"),
+    [
+        (1.1, 1.04, {}, True),
+        (1.1, 1.2, {}, False),
+        # it could not be simulated there
+        (1.1, None, {}, False),
+        # at the noise; on a fine grid; by Jacobians of another; what sets in; fitted to all frames
+        (1.02, 1.01, {}, False),
+        (1.1, 1.04, {"spacing": None}, False),
+        (1.1, 1.04, {"lender": 0.01}, False),
+        (1.1, 1.04, {"added": ("contact",)}, False),
+        (1.1, 1.04, {"reconciled": True}, False),
+    ],
+)
+def test_what_is_concluded_is_told_of_a_fine_grid_where_it_leaves_less(
+    here: float, there: float | None, changes: dict, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if "spacing" in changes:
+        changes = {"spacing": deciding() / 1.28}
+    step = replace(step_of(assessment_of(here, adequate=True), spacing=deciding()), **changes)
+    after = there and step_of(assessment_of(there, adequate=True), spacing=deciding() / finer.FINER)
+    monkeypatch.setattr(grids, "finer", lambda *_: after)
+    assert grids.finely(scene()[0], step) is (after if kept else step)

@@ -14,7 +14,7 @@ from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Ranking, rank
 from mphygs.extend.anew import anew
 from mphygs.extend.exchange import exchanged
-from mphygs.extend.grids import polished, probed, refined, with_budget
+from mphygs.extend.grids import finely, polished, probed, refined, with_budget
 from mphygs.extend.narrow import narrowed
 from mphygs.extend.prune import pruned
 from mphygs.extend.readmit import FAULT, readmitted
@@ -26,7 +26,7 @@ from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import default_spacing, fit_belief, plan_of, screening_spacing
+from mphygs.fit.schedule import deciding_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -36,7 +36,7 @@ LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.9
-# A grid within this factor of the default one is no screening grid.
+# A grid within this factor of the deciding one is no screening grid.
 FINE = 1.1
 
 
@@ -83,7 +83,7 @@ def first_fit(
     for name in experiment.fitted:
         experiment.predictor(name, spacing)
     plan = plan_of(experiment.capture, spacing, warm=warm)
-    if spacing > FINE * default_spacing(experiment.capture):
+    if spacing > FINE * deciding_spacing(experiment.capture):
         plan = tuple(replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY)) for stage in plan)
     solution, _ = fit_belief(
         experiment.capture,
@@ -109,6 +109,7 @@ def discover(
     names: Sequence[str] | None = None,
     start: Sequence[Step] = (),
     screening: bool = False,
+    final: bool = True,
     report: Callable[[str], None] | None = None,
     on_step: Callable[[Step, Sequence[Ranking]], None] | None = None,
 ) -> Discovery:
@@ -116,8 +117,9 @@ def discover(
 
     belief: the model to start from, not yet fitted; names: effects that may be added (None: all);
     start: steps that are done already, the first model's fit the first of them; screening: the spacing is
-    only for trying many models, and models near the floor are asked again on the default grid; on_step: told
-    every new step, and the rankings so far, as soon as it is done.
+    only for trying many models, and models near the floor are asked again on the deciding grid; final:
+    whether what is concluded is told, or gone on from; on_step: told every new step, and the rankings so far,
+    as soon as it is done.
     Raises SimulationError when not even the first model can be simulated.
     """
     say, coarse = report or (lambda _text: None), spacing
@@ -151,7 +153,7 @@ def discover(
 
     def judged(step: Step) -> Step:
         """The step, asked for all frames where only unseen ones are off, on the grid that decides."""
-        if screening and step.spacing > FINE * default_spacing(experiment.capture):
+        if screening and step.spacing > FINE * deciding_spacing(experiment.capture):
             return step
         after = reconciled(experiment, step, report)
         if not after.reconciled:
@@ -172,7 +174,7 @@ def discover(
         say(f"first {', '.join(simple)}: no load pulls there")
         inner = experiment.only(simple)
         alone = discover(
-            inner, belief, spacing, seed=seed, names=names, screening=screening, report=report
+            inner, belief, spacing, seed=seed, names=names, screening=screening, final=False, report=report
         )
         experiment.problems.clear()  # bad tracks may have been left out
         rankings.extend(alone.rankings)
@@ -254,6 +256,8 @@ def discover(
         # Near the floor, not at it: the materials may be where a model without the effect had drawn them.
         steps[-1] = anew(experiment, steps[-1], report)
     if steps[-1].explained:
+        if screening and final:
+            steps[-1] = finely(experiment, steps[-1], report)
         # What is concluded is told to its last digits, what was found with the grid's share of its errors.
         steps[-1] = polished(experiment, steps[-1], report)
         if steps[-1].added and not known_budget(steps[-1]):

@@ -1,4 +1,4 @@
-"""A grid finer than the default one, for a model that explains nearly all: what is left may be the grid's."""
+"""A grid finer than the deciding one, for a model that explains nearly all: the rest may be the grid's."""
 
 from __future__ import annotations
 

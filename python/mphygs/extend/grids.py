@@ -18,6 +18,7 @@ from mphygs.extend.finer import (
     lender_of,
     with_tangents,
 )
+from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.setting_in import fit_what_sets_in, placed
 from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import EXPLAINED, Step, excess, from_grid_to_grid, known_budget
@@ -25,13 +26,20 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
 from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
-from mphygs.fit.schedule import default_spacing, find_scale, forget, screening_spacing, simulable
+from mphygs.fit.schedule import (
+    deciding_spacing,
+    default_spacing,
+    find_scale,
+    forget,
+    screening_spacing,
+    simulable,
+)
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
 # On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
-# first model, may be the grid's own: the default grid is asked.
+# first model, may be the grid's own: the deciding grid is asked.
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
 # An effect that leaves less than this share of the excess is asked there as well where the grid may have all
 # that is left.
@@ -55,8 +63,8 @@ LAST_DIGITS = 1e-5
 def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     """Spacing [m] on which the last step should be asked again, None where its grid will do."""
     first, last = steps[0], steps[-1]
-    default = default_spacing(experiment.capture)
-    if last.spacing < 1.1 * default:
+    deciding = deciding_spacing(experiment.capture)
+    if last.spacing < 1.1 * deciding:
         return None
     # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
     label = "fit" if sets_in(last) else None
@@ -64,12 +72,12 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
         first.assessment, label
     )
     if small or last.assessment.worst < GROSS:
-        return default
+        return deciding
     if not last.added and last.solution.evaluation.misfit < GROSS:
         # Near enough on the fitted frames, and far off on others: the grid's error bends the materials.
-        return default if grid_may_have(experiment, last) else None
+        return deciding if grid_may_have(experiment, last) else None
     fell = last.added and excess(last.assessment, label) < LARGELY * excess(steps[-2].assessment, label)
-    return default if fell and grid_may_have(experiment, last) else None
+    return deciding if fell and grid_may_have(experiment, last) else None
 
 
 def grid_may_have(experiment: Experiment, step: Step) -> bool:
@@ -253,6 +261,17 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
     return after if after.explained else step
 
 
+def finely(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
+    """An explained step on a grid as fine as the default one, where it is not at the noise and leaves less
+    there: what is told of a model should be as near as a fit comes."""
+    coarser = step.lender is None and step.spacing > 1.1 * default_spacing(experiment.capture)
+    if not coarser or step.reconciled or sets_in(step) or step.assessment.worst <= AT_FLOOR:
+        return step
+    after = finer(experiment, step, report)
+    better = after is not None and after.explained and after.assessment.worst < step.assessment.worst
+    return after if better else step
+
+
 def complete(experiment: Experiment, step: Step) -> Step:
     """The step with the tangents of its prediction, which the floor test takes and rivals go without; without
     where the misfit is gross (see `with_tangents`)."""
@@ -308,20 +327,20 @@ def refined(
     """The last step on the grid that its misfit asks for, with its error budget where that decides.
 
     screening: whether the grid so far was only for trying many models, and another may be chosen; tied:
-    whether others do alike, which the default grid decides: kinds of damping, say, differ by less than the
+    whether others do alike, which the deciding grid tells: kinds of damping, say, differ by less than the
     error of a coarse one.
     """
     current = complete(experiment, steps[-1])
     spacing = next_spacing(experiment, steps) if screening and not current.explained else None
-    default = default_spacing(experiment.capture)
-    if screening and tied and current.explained and current.spacing > 1.1 * default:
-        spacing = default
+    deciding = deciding_spacing(experiment.capture)
+    if screening and tied and current.explained and current.spacing > 1.1 * deciding:
+        spacing = deciding
     if spacing is not None:
         moved = on_grid(experiment, current, spacing, report)
         if moved is not None and left_behind(current, moved):
             moved = anew(experiment, moved, report)
         current = moved or current
-    fine = not screening or current.spacing < 1.1 * default_spacing(experiment.capture)
+    fine = not screening or current.spacing < 1.1 * deciding_spacing(experiment.capture)
     if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
         return current
     if screening and current.assessment.worst > CLEAR:

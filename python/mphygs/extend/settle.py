@@ -16,7 +16,7 @@ from mphygs.simulate.errors import SimulationError
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
 # many at most.
 RIVAL, ALIKE_EXCESS, RIVALS = 2.0, 0.1, 4
-# So many sigma a coarse grid may leave of a model that is right: up to it the default one is asked.
+# So many sigma a coarse grid may leave of a model that is right: up to it the deciding one is asked.
 MAY_BE_THE_GRIDS = 1.2
 # Refits within this factor of the best chi^2 may still be the best one: on more frames, on a finer grid.
 ALIKE = 1.35

@@ -15,12 +15,13 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import Settings
 
-# Cells that an object of default spacing is worth: about 120 of its volume.
-DEFAULT_CELLS = 120
+# Cells that an object of default spacing is worth: about 250 of its volume.
+DEFAULT_CELLS = 250
 COARSE_FACTOR = 1.5
 # Of the default spacing: thin parts are lost on grids coarser than this.
-COARSEST = 1.33
-SCREENING_FACTOR = 1.33
+COARSEST = 1.7
+# Of the default spacing: where many models are tried, and where those that are left are decided between.
+SCREENING_FACTOR, DECIDING_FACTOR = 1.7, 1.28
 # A model this far from the data [sigma] is fitted no further than a few iterations.
 HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 # How far any part's stiffness may be from the common scale that was found: without a bound a model that
@@ -66,8 +67,13 @@ def default_spacing(capture: Capture) -> float:
 
 
 def screening_spacing(capture: Capture) -> float:
-    """Coarser spacing for trying many models one after the other [m]: a third of the work of the default."""
+    """Coarser spacing for trying many models one after the other [m]: a ninth of the work of the default."""
     return round(SCREENING_FACTOR * default_spacing(capture), 6)
+
+
+def deciding_spacing(capture: Capture) -> float:
+    """Spacing at which models are judged and decided between [m]: a third of the work of the default."""
+    return round(DECIDING_FACTOR * default_spacing(capture), 6)
 
 
 def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Stage, ...]:

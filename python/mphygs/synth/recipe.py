@@ -38,7 +38,7 @@ class Take:
     release: int | None = None
 
 
-# Cells of the grid whose spacing the truth's is stated in: twice those of a fit's default grid.
+# Cells of the grid whose spacing the truth's is stated in.
 TRUTH_CELLS = 250
 
 
