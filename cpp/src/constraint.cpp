@@ -10,11 +10,11 @@ Constraint::Constraint(const Geometry& g, const std::vector<std::int32_t>& node,
       holds_(static_cast<std::size_t>(g.hold_count)),
       nodes_(node),
       hold_(g.row_hold) {
-    by_row_.begin.assign(g.row_begin.begin(), g.row_begin.end());
-    by_row_.weight = g.row_weight;
     if (rows_ == 0) {
         return;
     }
+    by_row_.begin.assign(g.row_begin.begin(), g.row_begin.end());
+    by_row_.weight = g.row_weight;
     std::sort(nodes_.begin(), nodes_.end());
     nodes_.erase(std::unique(nodes_.begin(), nodes_.end()), nodes_.end());
     for (const std::int32_t n : node) {

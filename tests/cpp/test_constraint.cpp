@@ -158,6 +158,8 @@ TEST(Constraint, WithoutRowsThereIsNothingToSolve) {
     const Constraint c(Geometry{}, {}, {1.0, 2.0});
     EXPECT_EQ(c.row_count(), 0u);
     c.solve<1>(nullptr, 1.0, nullptr);
+    c.apply<1>(nullptr, nullptr);
+    c.transposed<1>(nullptr, nullptr);
 }
 
 }  // namespace

@@ -20,6 +20,7 @@ from extend_example import (
     step_of,
 )
 from mphygs.compare.assess import LARGEST_GRID_ERROR
+from mphygs.diagnose import grid_error
 from mphygs.extend import finer, grids
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
@@ -82,7 +83,7 @@ def test_the_default_grid_is_asked_where_the_misfit_may_be_the_grids_own(
     asked: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(grids, "unabsorbed", lambda *_: 0.0)
+    monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: 0.0)
     first, last = (step_of(assessment_of(r), spacing=factor * deciding()) for r in ratios)
     found = grids.next_spacing(scene()[0], [first, replace(last, added=added)])
     assert found == (deciding() if asked else None)
@@ -102,7 +103,7 @@ def test_the_default_grid_is_asked_where_the_misfit_may_be_the_grids_own(
 def test_the_default_grid_is_asked_where_the_coarse_one_may_have_all_that_is_left(
     own: float, before: float, added: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
+    monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: own)
     first, last = (step_of(assessment_of(r), spacing=trying()) for r in (before, 9.0))
     last = replace(last, added=added, solution=solution_of(plain_belief(), evaluation_of(8100.0)))
     assert grids.next_spacing(scene()[0], [first, last]) == (deciding() if asked else None)
@@ -123,14 +124,14 @@ def test_a_first_model_that_the_coarse_grid_may_have_bent_is_asked_again(
     own: float, misfit: float, added: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Gross in unseen frames, not in those fitted."""
-    monkeypatch.setattr(grids, "unabsorbed", lambda *_: own)
+    monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: own)
     step = step_of(assessment_of(misfit, 5.0), spacing=trying(), chi_square=100.0 * misfit**2)
     found = grids.next_spacing(scene()[0], [step, replace(step, added=added)] if added else [step])
     assert found == (deciding() if asked else None)
 
 
 def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grids, "unabsorbed", lambda *_: 0.0)
+    monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: 0.0)
 
     def seen_and_not(fit: float, predict: float) -> Step:
         ratio = {"a": {"fit": fit, "predict": predict}}

@@ -14,6 +14,7 @@ from extend_example import SPACING, entry_of, recorded, refit_of
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.autoregression import Autoregression
+from mphygs.diagnose import grid_error
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, rank
 from mphygs.extend import refit
@@ -237,7 +238,7 @@ def test_a_refit_near_the_floor_begins_anew_before_its_place_is_sought(
     left = replace(before, evaluation=replace(before.evaluation, residual=residual), converged=True)
     monkeypatch.setattr(refit, "minimise", lambda *_, **__: left)
     monkeypatch.setattr(refit, "fitted_anew", lambda _e, found, *_: done.append("anew") or found)
-    monkeypatch.setattr(refit, "unabsorbed", lambda *_: grid)
+    monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: grid)
     monkeypatch.setattr(refit, "relocated", lambda _p, found, **_: done.append("place") or found)
     compared = experiment.compare(before.belief, SPACING, jacobian=False)
     entry = replace(entry, kind=kind)

@@ -48,7 +48,6 @@ def test_a_sheet_much_thinner_than_a_cell_has_no_springs() -> None:
 def test_a_bar_of_one_cell_to_a_section_has_two_and_springs(
     spacing: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Points of single cells in a row see no more than a third of the shapes of their splines.
     capture = bar_capture(lengths=(0.06,), side=0.0085, depth=0.008, gravity=np.zeros(3))
     belief = bar_belief(capture, youngs_modulus=5e4, density=1000.0, prestress="off")
     recording, settings = capture.sequences[0], Settings(spacing, dtype="float64", workers=1)

@@ -59,7 +59,7 @@ class Constraint {
     std::size_t holds_ = 0;
     /// Rows of a sparse matrix: where each begins, columns, numbers.
     struct Sparse {
-        std::vector<std::size_t> begin, column;
+        std::vector<std::size_t> begin = {0}, column;
         std::vector<double> weight;
     };
     Sparse by_row_, by_node_;            // C and its transpose; nodes by their place among nodes_

@@ -88,6 +88,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         names=candidates,
         start=(first,),
         screening=usual,
+        final=False,
         report=console.say,
     )
     if found.rankings:

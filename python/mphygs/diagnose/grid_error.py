@@ -73,3 +73,11 @@ def unabsorbed(
     basis = np.linalg.qr(evaluation.jacobian[: evaluation.data_rows])[0]
     left = error - basis @ (basis.T @ error)
     return float(np.sqrt(left @ left / max(len(left), 1)))
+
+
+def may_have_all(
+    experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation
+) -> bool:
+    """Whether the grid may have of its own all that a fit leaves of the fitted frames beyond noise: its error
+    there, less what the materials take up, is as large. evaluation: of the fit, with Jacobian."""
+    return unabsorbed(experiment, spacing, belief, evaluation) ** 2 > evaluation.misfit**2 - 1.0

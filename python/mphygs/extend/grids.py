@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
-from mphygs.diagnose.grid_error import unabsorbed
+from mphygs.diagnose.grid_error import may_have_all
 from mphygs.extend.anew import anew
 from mphygs.extend.finer import (
     LENDS,
@@ -75,17 +75,13 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
         return deciding
     if not last.added and last.solution.evaluation.misfit < GROSS:
         # Near enough on the fitted frames, and far off on others: the grid's error bends the materials.
-        return deciding if grid_may_have(experiment, last) else None
+        return deciding if _grid_may_have(experiment, last) else None
     fell = last.added and excess(last.assessment, label) < LARGELY * excess(steps[-2].assessment, label)
-    return deciding if fell and grid_may_have(experiment, last) else None
+    return deciding if fell and _grid_may_have(experiment, last) else None
 
 
-def grid_may_have(experiment: Experiment, step: Step) -> bool:
-    """Whether the step's grid may have all that the model leaves of the fitted frames: its own error there,
-    less what the materials take up, is as large."""
-    evaluation = step.solution.evaluation
-    own = unabsorbed(experiment, step.spacing, step.belief, evaluation)
-    return own**2 > evaluation.misfit**2 - 1.0
+def _grid_may_have(experiment: Experiment, step: Step) -> bool:
+    return may_have_all(experiment, step.spacing, step.belief, step.solution.evaluation)
 
 
 def sets_in(step: Step) -> bool:

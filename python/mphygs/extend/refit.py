@@ -10,7 +10,7 @@ import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared, whiten_all
 from mphygs.diagnose.contact_search import hold_friction, release_friction
-from mphygs.diagnose.grid_error import unabsorbed
+from mphygs.diagnose.grid_error import may_have_all
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.rank import Entry
 from mphygs.extend.setting_in import placed
@@ -225,8 +225,9 @@ def finish_refit(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
             )
         near = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
-        if entry.kind != "threshold" and near and not _the_grids(experiment, solution, spacing):
-            solution = fitted_anew(experiment, solution, spacing, report)
+        if entry.kind != "threshold" and near:
+            if not may_have_all(experiment, spacing, solution.belief, solution.evaluation):
+                solution = fitted_anew(experiment, solution, spacing, report)
         # Materials first: a place that makes up for theirs is hard to leave.
         solution = relocated(problem, solution, relative_tolerance=accuracy, report=report)
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
@@ -243,12 +244,6 @@ def finish_refit(
         ),
         before.evaluation.chi_square - solution.evaluation.chi_square,
     )
-
-
-def _the_grids(experiment: Experiment, solution: Solution, spacing: float) -> bool:
-    """Whether the grid may have of its own what a fit leaves of the fitted frames beyond noise."""
-    own = unabsorbed(experiment, spacing, solution.belief, solution.evaluation)
-    return own**2 > solution.evaluation.misfit**2 - 1.0
 
 
 def _in_scope(compared: dict[str, Compared], belief: Belief, name: str) -> dict[str, Compared]:

@@ -67,12 +67,12 @@ def default_spacing(capture: Capture) -> float:
 
 
 def screening_spacing(capture: Capture) -> float:
-    """Coarser spacing for trying many models one after the other [m]: a ninth of the work of the default."""
+    """Coarser spacing for trying many models one after the other [m]: a sixth of the work of the default."""
     return round(SCREENING_FACTOR * default_spacing(capture), 6)
 
 
 def deciding_spacing(capture: Capture) -> float:
-    """Spacing at which models are judged and decided between [m]: a third of the work of the default."""
+    """Spacing at which models are judged and decided between [m]: 0.3 to 0.6 of the work of the default."""
     return round(DECIDING_FACTOR * default_spacing(capture), 6)
 
 

@@ -143,7 +143,7 @@ def _fitting_grid(
 ) -> Grid:
     """The cells that cover a box, see `_fitting`; a column of single cells becomes one of pairs: its points
     do not see all shapes of the splines, and no neighbour holds those."""
-    cells = [_fitting(*ends) for ends in zip(low, high, [spacing] * 3, planes, strict=True)]
+    cells = [_fitting(low[a], high[a], spacing, planes[a]) for a in range(3)]
     single = [a for a in range(3) if cells[a][2] == 1]
     if len(single) > 1:
         widest = max(single, key=lambda a: high[a] - low[a])
@@ -155,10 +155,10 @@ def _fitting_grid(
 def _fitting(
     low: float, high: float, spacing: float, plane: float | None, least: int = 1
 ) -> tuple[float, float, int]:
-    """Lower end, spacing and count of cells along one axis that cover [low, high], `least` of them at least.
+    """Lower end, spacing and count of cells along one axis that cover [low, high].
 
-    plane: where a boundary between cells has to be [m]. Else the cells stand as far beyond the one end as
-    beyond the other: not at all, unless the material is thinner than the least spacing.
+    least: count of cells; plane: where a boundary between cells has to be [m]. Else the cells stand as far
+    beyond the one end as beyond the other: not at all, unless the material is thinner than the least spacing.
     """
     inner = plane is not None and low - 1e-6 * spacing < plane < high + 1e-6 * spacing
     length = max(high - plane, plane - low) if inner else high - low
