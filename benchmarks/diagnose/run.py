@@ -2,8 +2,9 @@
 
     python benchmarks/diagnose/run.py [CAPTURE ...] [--rounds 5]
 
-Fits elasticity alone to each capture, on the grid that diagnoses are made on. Without one, a bar with
-a hidden viscosity is made. The two runs take turns, so that what else the machine does is felt by both.
+Fits elasticity alone to each capture, on the grid that effects are scored on, which is coarser than that of a
+fit: one forward run on each stands beside the tangents. Without a capture, a bar with a hidden viscosity is
+made. The runs take turns, so that what else the machine does is felt by all.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
 from mphygs.extend.discover import first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.settings import Settings
 from mphygs.synth.__main__ import main as synth
@@ -63,28 +64,39 @@ def measured(folder: Path, options: Options) -> str:
     belief = first_fit(experiment, experiment.starting(starting_belief(capture)), spacing).belief
     name, (_first, last) = next(iter(experiment.fitted.items()))
     predictor = experiment.predictor(name, spacing)
+    finer = experiment.predictor(name, default_spacing(capture))
     ways = smooth_ways(belief, predictor.body, hung=masses_of_loads(capture, [name]))
     ways += base_motion_ways(belief, [float(f) for f in range(1, SHAKES + 1)])
     columns = [pair for way in ways for pair in way.columns]
     substep = predictor.stable_substep(belief)  # said, or a prediction that is kept would come back
-    seconds: dict[str, list[float]] = {"forward": [], "tangents": []}
+    fine_substep = finer.stable_substep(belief)
+    turns = {
+        "forward": lambda: predictor.predict(belief, last=last, substep=substep),
+        "fit": lambda: finer.predict(belief, last=last, substep=fine_substep),
+        "tangents": lambda: predictor.predict(belief, last=last, substep=substep, candidates=columns),
+    }
+    seconds: dict[str, list[float]] = {what: [] for what in turns}
     for _ in range(options.rounds):
-        for what, asked in (("forward", {}), ("tangents", {"candidates": columns})):
+        for what, turn in turns.items():
             began = time.perf_counter()
-            predictor.predict(belief, last=last, substep=substep, **asked)
+            turn()
             seconds[what].append(time.perf_counter() - began)
-    forward, tangents = (float(np.median(values)) for values in seconds.values())
+    forward, fit, tangents = (float(np.median(values)) for values in seconds.values())
     effects = len({way.effect for way in ways})
     return (
         f"| {folder.name} | {1e3 * spacing:.1f} | {effects} | {len(columns)} | {forward:.2f} "
-        f"| {tangents:.2f} | {tangents / forward:.1f} | {tangents / forward / len(columns):.2f} |"
+        f"| {fit:.2f} | {tangents:.2f} | {tangents / forward:.1f} | {tangents / fit:.1f} "
+        f"| {tangents / forward / len(columns):.2f} |"
     )
 
 
 def main() -> int:
     """Print the table."""
     options = tyro.cli(Options, config=(tyro.conf.FlagCreatePairsOff,))
-    heads = ("capture", "grid [mm]", "effects", "parameters", "forward [s]", "tangents [s]", "ratio", "each")
+    heads = (
+        "capture", "grid [mm]", "effects", "parameters", "forward [s]", "of the fit [s]", "tangents [s]",
+        "ratio", "to the fit's", "each",
+    )  # fmt: skip
     print(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
     for folder in options.captures or (own_capture(options.out),):
         print(measured(folder, options), flush=True)

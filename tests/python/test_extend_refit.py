@@ -18,6 +18,7 @@ from mphygs.diagnose import grid_error
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, rank
 from mphygs.extend import refit
+from mphygs.extend.known_slopes import _evaluated, approached_from
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
 from mphygs.fit import levenberg_marquardt
 from mphygs.fit.experiment import Experiment
@@ -118,6 +119,7 @@ def test_a_refit_begins_at_the_strength_that_fits_best(
         started.append(start["viscosity.eta"].value)
         raise SimulationError("only the start is asked for")
 
+    monkeypatch.setattr(refit, "approached_from", lambda _problem, _before, start: start)
     monkeypatch.setattr(refit, "minimise", first)
     start = scene()[1].belief.with_effect("viscosity", {"eta": estimate * ETA})
     assert begun(entry=entry_of("viscosity", 1000.0, start=start)) == (None, [])
@@ -132,6 +134,31 @@ def test_a_refit_finds_its_effect() -> None:
     assert "with viscosity" in said[0]
     # Strengths that cannot be negative are fitted in their logarithm.
     assert solution.belief["viscosity.eta"].log and not entry.start["viscosity.eta"].log
+
+
+def test_derivatives_that_are_known_lead_a_refit_nearer_to_its_minimum() -> None:
+    experiment, before, entry, _ = scene()
+    problem = experiment.problem(SPACING)
+    start = before.belief.with_effect("viscosity", {"eta": 0.5 * ETA})
+    there = problem.evaluate(start, jacobian=False)
+    evaluation = _evaluated(problem, before, start)
+    assert evaluation.cost == pytest.approx(there.cost, rel=1e-4)
+    exact = problem.evaluate(start).jacobian
+    new = [k for k, p in enumerate(start.free) if p.key == "viscosity.eta"]
+    old = [k for k in range(len(start.free)) if k not in new]
+    assert np.abs(exact[:, new]).max() > 0.0
+    scale = np.abs(exact[:, new]).max()
+    np.testing.assert_allclose(evaluation.jacobian[:, new], exact[:, new], atol=1e-4 * scale)
+    rows = evaluation.data_rows
+    np.testing.assert_array_equal(evaluation.jacobian[:rows, old], before.evaluation.jacobian[:rows])
+    after = problem.evaluate(approached_from(problem, before, start), jacobian=False)
+    assert after.cost < 0.3 * there.cost
+
+
+def test_derivatives_of_other_frames_do_not_lead() -> None:
+    experiment, before, entry, _ = scene()
+    start = before.belief.with_effect("viscosity", {"eta": 0.5 * ETA})
+    assert approached_from(experiment.window(SPACING, 0.5), before, start) is start
 
 
 @cache

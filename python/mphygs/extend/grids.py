@@ -326,7 +326,7 @@ def refined(
     whether others do alike, which the deciding grid tells: kinds of damping, say, differ by less than the
     error of a coarse one.
     """
-    current = complete(experiment, steps[-1])
+    current, hopeless = complete(experiment, steps[-1]), False
     spacing = next_spacing(experiment, steps) if screening and not current.explained else None
     deciding = deciding_spacing(experiment.capture)
     if screening and tied and current.explained and current.spacing > 1.1 * deciding:
@@ -335,6 +335,7 @@ def refined(
         moved = on_grid(experiment, current, spacing, report)
         if moved is not None and left_behind(current, moved):
             moved = anew(experiment, moved, report)
+        hopeless = moved is not None and _far_beyond(current, moved)
         current = moved or current
     fine = not screening or current.spacing < 1.1 * deciding_spacing(experiment.capture)
     if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
@@ -347,11 +348,19 @@ def refined(
             told_budget(rough, report)
             return rough
     small = excess(current.assessment) < EXPLAINED_ON_COARSE * excess(steps[0].assessment)
-    if screening and current.added and small and not sets_in(current):
+    if screening and current.added and small and not sets_in(current) and not hopeless:
         after = finer(experiment, current, report)
         if after is not None and after.explained:
             return after
     return with_budget(experiment, current, report)
+
+
+def _far_beyond(coarse: Step, fine: Step) -> bool:
+    """Whether what a refit on a finer grid leaves is more than a still finer one could take away: several
+    times what the error that falls with the square of the spacing would, by the two of them."""
+    change = coarse.assessment.worst - fine.assessment.worst
+    rest = max(change, 0.0) / ((coarse.spacing / fine.spacing) ** 2 - 1.0)
+    return fine.assessment.worst - BEYOND * rest > CLEAR
 
 
 def probed(

@@ -13,6 +13,7 @@ from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import may_have_all
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.rank import Entry
+from mphygs.extend.known_slopes import approached_from
 from mphygs.extend.setting_in import placed
 from mphygs.fit.anew import fitted_anew
 from mphygs.fit.experiment import Experiment
@@ -127,35 +128,39 @@ def start_refit(
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
     """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate,
-    whichever of its starts does best there.
+    whichever fits best; where it has several starts, from the one that is best after an iteration.
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends after the
     first iteration; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
     Returns None where no such model can be simulated.
     """
-    problem, found = experiment.window(spacing, share), []
-    for start in (entry.start, *entry.others):
-        begun = _begun(problem, before.belief, entry, start, iterations, hopeless, lender)
-        if begun is not None:
-            found.append(begun)
-    if not found:
+    problem = experiment.window(spacing, share)
+    starts = [_strongest(problem, before.belief, entry, start) for start in (entry.start, *entry.others)]
+    begun: list[Solution] = []
+    for start in starts:
+        if start is None:
+            continue
+        try:
+            begun.append(_led(problem, before, entry, start, lender))
+        except SimulationError:
+            continue
+    if not begun:
         return None
-    solution, done = min(found, key=lambda item: item[0].evaluation.chi_square)
+    solution = min(begun, key=lambda item: item.evaluation.chi_square)
+    done = len(solution.history) - 1
+    if iterations > 1 and not solution.converged and solution.evaluation.chi_square < hopeless:
+        try:
+            solution = minimise(problem, solution.belief, iterations=iterations - 1, relative_tolerance=1e-3)
+        except SimulationError:
+            return None
+        done += len(solution.history) - 1
     if report:
         report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
     return solution
 
 
-def _begun(
-    problem: Problem,
-    before: Belief,
-    entry: Entry,
-    begin: Belief,
-    iterations: int,
-    hopeless: float,
-    lender: Problem | None,
-) -> tuple[Solution, int] | None:
-    """One start of an entry after a few iterations, and how many they were; see `start_refit`."""
+def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) -> Belief | None:
+    """A start of an entry at the strength that fits best; None where none can be simulated."""
     strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
     best, best_cost = None, np.inf
     predictor = next(iter(problem.predictors.values()))
@@ -177,21 +182,20 @@ def _begun(
             continue
         if cost < best_cost:
             best, best_cost = start, cost
-    if best is None:
-        return None
-    try:
-        if entry.kind == "threshold":
-            best = placed(problem, hold_friction(best), lender=lender)
-        elif lender is not None:
-            best = approached(problem, lender, best)
-        solution = minimise(problem, best, iterations=1, relative_tolerance=1e-3)
-        done = len(solution.history) - 1
-        if iterations > 1 and not solution.converged and solution.evaluation.chi_square < hopeless:
-            solution = minimise(problem, solution.belief, iterations=iterations - 1, relative_tolerance=1e-3)
-            done += len(solution.history) - 1
-    except SimulationError:
-        return None
-    return solution, done
+    return best
+
+
+def _led(
+    problem: Problem, before: Solution, entry: Entry, start: Belief, lender: Problem | None
+) -> Solution:
+    """The first iteration from a start. Raises SimulationError where it cannot be simulated."""
+    if entry.kind == "threshold":
+        start = placed(problem, hold_friction(start), lender=lender)
+    elif lender is not None:
+        start = approached(problem, lender, start)
+    else:
+        start = approached_from(problem, before, start)
+    return minimise(problem, start, iterations=1, relative_tolerance=1e-3)
 
 
 def finish_refit(

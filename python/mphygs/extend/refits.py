@@ -20,6 +20,8 @@ from mphygs.simulate.errors import SimulationError
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
 BEGUN, FINISHED, NEARLY = 8, 3, 1.25
+# Jacobians of a refit that is begun.
+FIRST = 2
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
@@ -79,7 +81,14 @@ def refits_of(
         if telling and least > ALIKE * best:
             continue
         solution = start_refit(
-            experiment, window[1], entry, spacing, share=window[0], hopeless=HOPELESS * best, report=say
+            experiment,
+            window[1],
+            entry,
+            spacing,
+            share=window[0],
+            iterations=FIRST,
+            hopeless=HOPELESS * best,
+            report=say,
         )
         if solution is not None:
             begun.append((solution.evaluation.chi_square, entry, solution))
@@ -93,9 +102,12 @@ def refits_of(
         ]
         begun.sort(key=lambda item: item[0])
     finished: list[Refit] = []
+    # Where the prediction holds, a few iterations tell who leads; only one that pays ends the search.
+    near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     for number, (chi_square, entry, solution) in enumerate(begun):
         # What the coarse grid has of its own may put the true effect a little behind.
-        if chi_square > (BEHIND if number < FINISHED else NEARLY) * begun[0][0]:
+        behind = ALIKE if near and any(r.pays for r in finished) else BEHIND
+        if chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]:
             break
         result = finish_refit(
             experiment,

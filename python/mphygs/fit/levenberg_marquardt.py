@@ -127,6 +127,20 @@ def _follow_secants(
     return belief
 
 
+def followed(
+    problem: Problem, belief: Belief, evaluation: Evaluation, *, relative_tolerance: float = 1e-3
+) -> Belief:
+    """The belief nearer to the minimum, by steps of a Jacobian that is nearly right and the secants.
+
+    evaluation: of the belief, with that Jacobian.
+    """
+
+    def worth(reached: Evaluation) -> float:
+        return _worth(reached, 0.05, relative_tolerance)
+
+    return _follow_secants(problem, belief, evaluation, evaluation.jacobian, FIRST_DAMPING, worth, 1.5)
+
+
 class _Borrowing:
     """A problem whose Jacobians are those of another one: the same fit on a coarser grid.
 
