@@ -66,7 +66,7 @@ class SegmentOptions(CommonOptions):
     """About so many inside the object."""
     segments: int = 25
     """Number of segments that is not exceeded."""
-    alike: float = 0.3
+    alike: float = 0.25
     """Distance in looks and thickness, over that of two random places, below which two segments are one; 0:
     every petal stays a segment of its own."""
     longest: int = 400

@@ -60,6 +60,33 @@ def test_shares_add_to_the_misfit_in_squares() -> None:
     assert shares == pytest.approx([1.0, 1.0, np.sqrt(3.0)], rel=0.05)
 
 
+@pytest.mark.parametrize(("everywhere", "excused"), [(False, True), (True, False)])
+def test_what_the_grid_bends_of_a_number_it_owes_in_unseen_frames(everywhere: bool, excused: bool) -> None:
+    """The grid's error moves the number as far as the fitted frames want it: unseen ones, where the grid is
+    right, are then wrong by that number. Where its error is the same there too, a refit takes away all."""
+    capture = bar_capture(frames=FRAMES, fps=100.0, fit=(0, SPLIT))
+    sequence = replace(capture.sequence("a"), predict=(SPLIT, FRAMES))
+    capture = replace(capture, sequences=(sequence,))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=("part0.youngs_modulus",))
+    experiment = Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1))
+    name, item = next(iter(experiment.compare(truth, SPACING).items()))
+    sigma = item.observation.sigma
+    noise = sigma * np.random.default_rng(3).standard_normal(item.observation.position.shape)
+    unseen = np.arange(FRAMES)[:, None, None] >= SPLIT
+    change = item.jacobian[..., 0]
+    change = change * (3.0 * sigma / np.sqrt(np.mean(change[SPLIT:] ** 2)))
+    wrong = replace(
+        item,
+        predicted=item.observation.position - noise - np.where(unseen, change, 0.0),
+        refinement=np.where(unseen & (not everywhere), 0.0, change),
+        fit=(0, SPLIT),
+        predict=(SPLIT, FRAMES),
+    )
+    found = experiment.assess({name: wrong})
+    assert found.ratio[name]["predict"] == pytest.approx(np.sqrt(10.0), rel=0.1)
+    assert found.adequate == excused
+
+
 @pytest.mark.parametrize("slope", [1.0, 3.0])
 def test_how_far_the_grid_moves_a_number_is_what_its_own_tangents_say(slope: float) -> None:
     """A refinement that moves every marker as 0.2 of a coordinate would, and a prior as sure as the data."""

@@ -21,6 +21,8 @@ LARGEST_EXCUSED = 1.5 * PRACTICAL_FLOOR
 # Where a refinement has shown the discretisation's share: what it does not cover is, in every range, no more
 # than this many sigma, noise included, and the misfit no more than the second number.
 BUDGET_FLOOR, LARGEST_GRID_ERROR = 1.15, 5.0
+# How far a coordinate that the fitted frames leave open gives way to the discretisation's error: a factor e.
+GIVES_WAY = 1.0
 # Cosines over time by which the discretisation's error may differ from the change under refinement.
 MODULATIONS = 6
 
@@ -245,12 +247,14 @@ def _ranges(whitened: Whitened) -> list[np.ndarray]:
 
 
 def _grid_share(whitened: Whitened) -> np.ndarray:
-    """(N,) the change under refinement less what refitting absorbs."""
-    share = whitened.refinement
-    if np.any(share) and whitened.jacobian.shape[1]:
-        solution = np.linalg.lstsq(whitened.jacobian, share, rcond=1e-10)[0]
-        share = share - whitened.jacobian @ solution
-    return share
+    """(N,) the change under refinement less what refitting absorbs: a fit to the fitted frames, which carries
+    what it made of them on to the unseen ones."""
+    share, jacobian, seen = whitened.refinement, whitened.jacobian, whitened.seen
+    if not np.any(share) or not jacobian.shape[1] or not seen.any():
+        return share
+    known = jacobian[seen].T @ jacobian[seen] + np.eye(jacobian.shape[1]) / GIVES_WAY**2
+    shift = np.linalg.solve(known, jacobian[seen].T @ share[seen])
+    return share - jacobian @ shift
 
 
 def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarray | None:

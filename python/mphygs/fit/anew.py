@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise, told
-from mphygs.fit.schedule import find_scale, forget
+from mphygs.fit.schedule import find_scale, forget, screening_spacing
 from mphygs.simulate.errors import SimulationError
 
 # Of the frames, one after the other, on which materials begin anew.
@@ -40,7 +40,9 @@ def _fitted_anew(
     experiment: Experiment, solution: Solution, spacing: float, report: Callable[[str], None] | None
 ) -> Solution:
     say = report or (lambda _text: None)
-    belief = find_scale(experiment.window(spacing, SHARES[0]), forget(solution.belief))
+    # Their common scale is told by a coarse grid as well, where soft bodies take less long to come to rest.
+    rough = max(spacing, screening_spacing(experiment.capture))
+    belief = find_scale(experiment.window(rough, SHARES[0]), forget(solution.belief))
     for share in SHARES:
         problem = experiment.window(spacing, share)
         halfway = SHARES[0] < share < 1.0

@@ -35,8 +35,8 @@ class ObjectSettings:
     particles: int = 25_000
     band: float = 1.0
     appearance: float = 1.0
-    affinity: float = 0.5
-    thickness: float = 1.0
+    affinity: float = 1.0
+    thickness: float = 0.7
     segments: SegmentSettings = field(default_factory=SegmentSettings)
 
     def __post_init__(self) -> None:

@@ -35,12 +35,12 @@ class SegmentSettings:
     """
 
     samples: int = 6000
-    dimensions: int = 8
+    dimensions: int = 12
     least_cluster: float = 0.012
     core: int = 8
     place: float = 0.6
     rounds: int = 4
-    alike: float = 0.3
+    alike: float = 0.25
     least_segment: float = 0.01
     most: int = 25
     seed: int = 0
