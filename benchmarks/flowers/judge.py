@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mphygs.capture.format import load_capture
+from mphygs.capture.format import Capture, load_capture
 from mphygs.fit.run import Run, load_run
 from mphygs.fit.stage_files import StageFolder, particles_of
 from mphygs.scene.particles import closest_material
+from mphygs.scene.soft_boundary import Particles
 
 # A true part's mean logarithm counts as identifiable where its standard deviation is below this.
 IDENTIFIABLE = 0.25
@@ -24,9 +25,7 @@ def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, 
     and the adjusted Rand index of the segments, as they are and with those of one true part made one."""
     state = load_run(run)
     truth = load_capture(capture / "truth")
-    particles = particles_of(state.stages, len(list(StageFolder(state.stages).parts.glob("*.ply"))))
-    label = particles.label[particles.inside]
-    true_part = closest_material(truth.parts, particles.position[particles.inside]).part
+    particles, label, true_part = _labels(state.stages, truth)
     names = [part.name for part in truth.parts]
     parts = json.loads((capture / "answer.json").read_text())["parts"]
     sequences = answer["sequences"]
@@ -39,10 +38,29 @@ def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, 
             part.name: float((true_part == k).sum() * particles.spacing**3 / part.volume)
             for k, part in enumerate(truth.parts)
         },
+        **_agreement(label, true_part),
+        "fit_stages": {stage.name: stage.seconds for stage in state.history},
+    }
+
+
+def segments(stages: Path, capture: Path) -> dict[str, float]:
+    """How many segments a folder of stages has, and their adjusted Rand index, as `judged` tells it."""
+    _, label, true_part = _labels(stages, load_capture(capture / "truth"))
+    return _agreement(label, true_part)
+
+
+def _labels(stages: Path, truth: Capture) -> tuple[Particles, np.ndarray, np.ndarray]:
+    """The particles, and of those inside, (N,) each, the segment and the true part."""
+    particles = particles_of(stages, len(list(StageFolder(stages).parts.glob("*.ply"))))
+    true_part = closest_material(truth.parts, particles.position[particles.inside]).part
+    return particles, particles.label[particles.inside], true_part
+
+
+def _agreement(label: np.ndarray, true_part: np.ndarray) -> dict[str, float]:
+    return {
         "segments": int(label.max()) + 1,
         "adjusted_rand_index": adjusted_rand_index(label, true_part),
         "adjusted_rand_index_merged": adjusted_rand_index(_merged(label, true_part), true_part),
-        "fit_stages": {stage.name: stage.seconds for stage in state.history},
     }
 
 

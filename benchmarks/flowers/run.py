@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from judge import judged
+from judge import judged, segments
 from table import document, markdown
 
 from mphygs.capture.format import load_capture
@@ -65,6 +65,8 @@ class Options:
     """Of the fits: fast or paper."""
     workers: int = os.cpu_count() or 1
     """Simulations side by side."""
+    segments_only: bool = False
+    """Stop where the segments are found, and say how well they agree with the true parts."""
     again: bool = False
     """Fit again where there is a result; captures and stages are kept."""
     json: bool = False
@@ -102,13 +104,15 @@ def made(options: Options, species: str) -> Path:
     return folder
 
 
-def staged(options: Options, species: str, capture: Path) -> tuple[Path, dict[str, dict[str, float]]]:
-    """Run folder with all stages of a flower, and what each cost, kept beside it."""
+def staged(
+    options: Options, species: str, capture: Path, wanted: tuple[str, ...] | None = None
+) -> tuple[Path, dict[str, dict[str, float]]]:
+    """Run folder with the stages of a flower, and what each cost, kept beside it. wanted: None for all."""
     home = options.out / "runs" / species / "stages-of"
     kept = options.out / "results" / f"{species}-stages.json"
     costs = json.loads(kept.read_text()) if kept.is_file() else {}
     for stage in missing_stages(load_capture(capture), home / FOLDER):
-        if stage.file.exists():
+        if stage.file.exists() or (wanted is not None and stage.name not in wanted):
             continue
         print(f"    {stage.name}", file=sys.stderr, flush=True)
         log = options.out / "logs" / f"{species}-{stage.name.replace(' ', '-')}.log"
@@ -117,6 +121,35 @@ def staged(options: Options, species: str, capture: Path) -> tuple[Path, dict[st
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps(costs, indent=1) + "\n")
     return home, costs
+
+
+def segmented(options: Options, species: list[str]) -> int:
+    """Find the segments of every flower, print a table of them. Returns the exit code."""
+    rows, failed = {}, 0
+    for name in species:
+        print(name, file=sys.stderr, flush=True)
+        try:
+            capture = made(options, name)
+            home, costs = staged(options, name, capture, ("reconstruct", "segment"))
+            seconds = {f"{stage}_seconds": costs[stage]["seconds"] for stage in costs}
+            rows[name] = segments(home / FOLDER, capture) | seconds
+        except (CommandError, ValueError, OSError) as error:
+            failed = 1
+            print(f"    {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+    if options.json:
+        print(json.dumps(plain(rows)))
+        return failed
+    print("|  | segments | adjusted Rand index | merged |\n| --- | --- | --- | --- |")
+    for name, row in rows.items():
+        both = f"{row['adjusted_rand_index']:.2f} | {row['adjusted_rand_index_merged']:.2f}"
+        print(f"| {name} | {row['segments']} | {both} |")
+    if rows:
+        means = [
+            sum(row[key] for row in rows.values()) / len(rows)
+            for key in ("adjusted_rand_index", "adjusted_rand_index_merged")
+        ]
+        print(f"| mean |  | {means[0]:.2f} | {means[1]:.2f} |")
+    return failed
 
 
 def fitted(options: Options, species: str, variant: str, capture: Path, home: Path) -> dict[str, object]:
@@ -172,6 +205,8 @@ def main() -> int:
         if name not in known:
             print(f"'{name}': expected some of {', '.join(known)}", file=sys.stderr)
             return 2
+    if options.segments_only:
+        return segmented(options, species)
     records = [entry for name in species for entry in records_of(options, name, variants)]
     found = document(records)
     (options.out / "table.json").write_text(json.dumps(found, indent=1) + "\n")

@@ -106,12 +106,6 @@ def left_behind(coarse: Step, fine: Step) -> bool:
     return bool(fine.added) and not sets_in(fine) and there < CLEAR < here and here > LEFT_BEHIND * there
 
 
-def _led_astray(fine: Step) -> bool:
-    """Whether a first model on a finer grid is near the floor of the fitted frames and not at it: what a
-    coarse grid made of its materials, a part of rubber say, may hold it there."""
-    return not fine.added and AT_FLOOR < fine.solution.evaluation.misfit < CLEAR
-
-
 def on_grid(
     experiment: Experiment,
     step: Step,
@@ -339,7 +333,7 @@ def refined(
         spacing = deciding
     if spacing is not None:
         moved = on_grid(experiment, current, spacing, report)
-        if moved is not None and (left_behind(current, moved) or _led_astray(moved)):
+        if moved is not None and left_behind(current, moved):
             moved = anew(experiment, moved, report)
         hopeless = moved is not None and _far_beyond(current, moved)
         current = moved or current
