@@ -545,6 +545,33 @@ def test_only_what_pays_sets_a_bound_for_others(
     assert bounds["relaxation"] == pytest.approx(refits.ALIKE * bound)
 
 
+@pytest.mark.parametrize(("misfit", "pays", "asked"), [(1.5, True, 1), (2.5, True, 2), (1.5, False, 2)])
+def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
+    misfit: float, pays: bool, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second leaves 1.4 times as much as the first after the iterations that a refit is begun with."""
+    chi_squares = {"base_motion": 400.0, "tether": 560.0}
+    finished: list[str] = []
+
+    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **options: object) -> Solution:
+        assert options["iterations"] == refits.FIRST
+        return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect], 100))
+
+    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> object:
+        finished.append(entry.effect)
+        gain = GainInterval(1.0, 0.5, 1.5, 10) if pays else None
+        return refit_of(gain=gain, chi_square=chi_squares[entry.effect], drop=1e4 if pays else 1.0)
+
+    monkeypatch.setattr(refits, "start_refit", start_refit)
+    monkeypatch.setattr(refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(refits, "unabsorbed", lambda *_: 0.0)
+    entries = [entry_of(name, 1e4) for name in chi_squares]
+    window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
+    ranking = ranking_of(*entries, misfit=misfit)
+    refits_of(None, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+    assert len(finished) == asked
+
+
 def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[str] = []
 

@@ -538,3 +538,27 @@ def test_what_is_concluded_is_told_of_a_fine_grid_where_it_leaves_less(
     after = there and step_of(assessment_of(there, adequate=True), spacing=deciding() / finer.FINER)
     monkeypatch.setattr(grids, "finer", lambda *_: after)
     assert grids.finely(scene()[0], step) is (after if kept else step)
+
+
+@pytest.mark.parametrize(
+    ("coarse", "fine", "beyond"),
+    [(2.868, 2.791, True), (3.6, 2.8, False), (2.0, 1.4, False), (2.0, 2.1, True)],
+)
+def test_no_finer_grid_is_asked_where_two_grids_say_that_it_would_be_too_little(
+    coarse: float, fine: float, beyond: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A tenth of the first model's misfit is left, on a grid three quarters as coarse."""
+    experiment = scene()[0]
+    first = step_of(assessment_of(60.0), spacing=trying())
+    last = step_of(assessment_of(coarse), added=("air_drag",), free=1, spacing=trying())
+    moved = step_of(assessment_of(fine), added=("air_drag",), free=1, spacing=deciding())
+    asked: list[str] = []
+    monkeypatch.setattr(grids, "complete", lambda _e, step: step)
+    monkeypatch.setattr(grids, "next_spacing", lambda *_: deciding())
+    monkeypatch.setattr(grids, "on_grid", lambda *_, **__: moved)
+    monkeypatch.setattr(grids, "left_behind", lambda *_: False)
+    monkeypatch.setattr(grids, "known_budget", lambda _step: False)
+    monkeypatch.setattr(grids, "with_budget", lambda _e, step, *_, **__: step)
+    monkeypatch.setattr(grids, "finer", lambda *_: asked.append("finer"))
+    assert grids.refined(experiment, [first, last], None, screening=True) is moved
+    assert asked == ([] if beyond else ["finer"])

@@ -249,12 +249,20 @@ def _ranges(whitened: Whitened) -> list[np.ndarray]:
 def _grid_share(whitened: Whitened) -> np.ndarray:
     """(N,) the change under refinement less what refitting absorbs: a fit to the fitted frames, which carries
     what it made of them on to the unseen ones."""
-    share, jacobian, seen = whitened.refinement, whitened.jacobian, whitened.seen
-    if not np.any(share) or not jacobian.shape[1] or not seen.any():
+    share, count = whitened.refinement, whitened.jacobian.shape[1]
+    if not np.any(share) or not count or not whitened.seen.any():
         return share
-    known = jacobian[seen].T @ jacobian[seen] + np.eye(jacobian.shape[1]) / GIVES_WAY**2
-    shift = np.linalg.solve(known, jacobian[seen].T @ share[seen])
-    return share - jacobian @ shift
+    return share - whitened.jacobian @ _shift(whitened, np.eye(count) / GIVES_WAY**2)
+
+
+def _shift(whitened: Whitened, prior: np.ndarray) -> np.ndarray:
+    """(P,) how far a fit to the fitted frames moves its coordinates for what a refinement changes there.
+
+    prior: (P, P) inverse covariance of the coordinates before anything was measured.
+    """
+    jacobian = whitened.jacobian[whitened.seen]
+    inverse = np.linalg.pinv(jacobian.T @ jacobian + prior, rcond=1e-14, hermitian=True)
+    return inverse @ (jacobian.T @ whitened.refinement[whitened.seen])
 
 
 def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarray | None:
@@ -267,9 +275,7 @@ def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarra
     whitened = whiten_all(compared)
     if not np.any(whitened.refinement) or whitened.jacobian.shape[1] != len(prior):
         return None
-    jacobian = whitened.jacobian[whitened.seen]
-    inverse = np.linalg.pinv(jacobian.T @ jacobian + prior, rcond=1e-14, hermitian=True)
-    return inverse @ (jacobian.T @ whitened.refinement[whitened.seen])
+    return _shift(whitened, prior)
 
 
 def _budget(whitened: Whitened, share: np.ndarray, sigma: float) -> dict[str, float]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.fit.levenberg_marquardt import Solution, followed
+from mphygs.fit.levenberg_marquardt import Solution, led_by_secants
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -21,16 +21,16 @@ def approached_from(problem: Problem, before: Solution, start: Belief) -> Belief
     be simulated.
     """
     evaluation = _evaluated(problem, before, start)
-    return start if evaluation is None else followed(problem, start, evaluation)
+    return start if evaluation is None else led_by_secants(problem, start, evaluation)
 
 
 def _evaluated(problem: Problem, before: Solution, start: Belief) -> Evaluation | None:
     """The start's evaluation: derivatives by what is new computed there, by the rest those of before."""
     known = {p.key: (k, p) for k, p in enumerate(before.belief.free)}
-    free = start.free
+    free, slope = start.free, before.evaluation.jacobian[: before.evaluation.data_rows]
     new = [p.key for p in free if p.key not in known]
     old = [k for k, p in enumerate(free) if p.key in known]
-    if not new or not old or any(known[free[k].key][1].log != free[k].log for k in old):
+    if not new or not np.any(slope) or any(known[free[k].key][1].log != free[k].log for k in old):
         return None
     place = {p.key: k for k, p in enumerate(free)}
     positions, slopes = {}, {}
@@ -40,11 +40,10 @@ def _evaluated(problem: Problem, before: Solution, start: Belief) -> Evaluation 
         slopes[name] = np.zeros((*prediction.position.shape, len(free)))
         slopes[name][..., [place[key] for key in new]] = prediction.jacobian
     evaluation = problem.evaluated(start, positions, slopes)
-    rows = evaluation.data_rows
-    if before.evaluation.data_rows != rows or not before.evaluation.jacobian.size:
-        return None
+    if len(slope) != evaluation.data_rows:
+        return None  # of other frames
     jacobian = evaluation.jacobian.copy()
-    jacobian[:rows, old] = before.evaluation.jacobian[:rows, [known[free[k].key][0] for k in old]]
+    jacobian[: len(slope), old] = slope[:, [known[free[k].key][0] for k in old]]
     if not np.isfinite(jacobian).all():
         raise SimulationError("the derivatives at the start are not finite")
     return replace(evaluation, jacobian=jacobian)

@@ -27,6 +27,8 @@ SECANTS, TRUSTED, TAKEN = 3, 0.3, 0.05
 BORROWED_TRIALS = 3
 # The share of the cost that such a step has to promise: the last digits are not in a coarser grid.
 LENT = 1e-3
+# The fall of the cost that no step is worth taking for; the longest step of any logarithm.
+TOLERANCE, LONGEST_STEP = 0.05, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,18 +129,17 @@ def _follow_secants(
     return belief
 
 
-def followed(
-    problem: Problem, belief: Belief, evaluation: Evaluation, *, relative_tolerance: float = 1e-3
-) -> Belief:
+def led_by_secants(problem: Problem, belief: Belief, evaluation: Evaluation) -> Belief:
     """The belief nearer to the minimum, by steps of a Jacobian that is nearly right and the secants.
 
     evaluation: of the belief, with that Jacobian.
     """
 
     def worth(reached: Evaluation) -> float:
-        return _worth(reached, 0.05, relative_tolerance)
+        return _worth(reached, TOLERANCE, LENT)
 
-    return _follow_secants(problem, belief, evaluation, evaluation.jacobian, FIRST_DAMPING, worth, 1.5)
+    jacobian = evaluation.jacobian
+    return _follow_secants(problem, belief, evaluation, jacobian, FIRST_DAMPING, worth, LONGEST_STEP)
 
 
 class _Borrowing:
@@ -248,9 +249,9 @@ def minimise(
     belief: Belief,
     *,
     iterations: int = 20,
-    tolerance: float = 0.05,
+    tolerance: float = TOLERANCE,
     relative_tolerance: float = 1e-4,
-    longest_step: float = 1.5,
+    longest_step: float = LONGEST_STEP,
     trials: int = 10,
     lender: Problem | None = None,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
