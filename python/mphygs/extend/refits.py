@@ -20,8 +20,8 @@ from mphygs.simulate.errors import SimulationError
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
 BEGUN, FINISHED, NEARLY = 8, 3, 1.25
-# Jacobians of a refit that is begun.
-FIRST = 2
+# Jacobians of a refit that is begun: damping far from the data goes to its strength in stages.
+FIRST = 3
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
