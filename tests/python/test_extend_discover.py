@@ -331,14 +331,17 @@ def test_each_kind_gets_a_hearing() -> None:
 
 
 def test_near_the_floor_only_what_explains_a_share_is_tried() -> None:
-    # 1.5 sigma: 1250 of chi^2 beyond noise, of which 3 % are 37.5.
-    entries = [entry_of("viscosity", 39.0), entry_of("gravity", 36.0)]
-    assert names(promising(ranking_of(*entries, misfit=1.5))) == ["viscosity"]
+    # 1.5 sigma: 1250 of chi^2 beyond noise, of which 15 % are 187.5, 3 % 37.5.
+    entries = [entry_of("viscosity", 189.0), entry_of("gravity", 186.0)]
+    walls = [entry_of("contact", 39.0, kind="threshold"), entry_of("plasticity", 36.0, kind="threshold")]
+    faults = [entry_of("time_offset", 189.0, kind="measurement")]
+    found = promising(ranking_of(*entries, *walls, *faults, misfit=1.5))
+    assert names(found) == ["viscosity", "contact", "time_offset"]
     # Nor what explains less than an effect that does nothing, unless it is near the best.
-    entries = [entry_of("viscosity", 600.0), entry_of("gravity", 125.0), entry_of("wind", 115.0)]
+    entries = [entry_of("viscosity", 1200.0), entry_of("gravity", 250.0), entry_of("wind", 230.0)]
     assert len(promising(ranking_of(*entries, misfit=1.5))) == 3
     assert names(promising(ranking_of(*entries, misfit=1.5, decoy=700.0))) == ["viscosity", "gravity"]
-    assert len(promising(ranking_of(*entries, misfit=1.5, decoy=110.0))) == 3
+    assert len(promising(ranking_of(*entries, misfit=1.5, decoy=220.0))) == 3
     # Far from the data predictions are poor judges.
     assert len(promising(ranking_of(*entries, misfit=2.1, decoy=700.0))) == 3
 
@@ -554,7 +557,7 @@ def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
     finished: list[str] = []
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **options: object) -> Solution:
-        assert options["iterations"] == refits.FIRST
+        assert options["iterations"] == (refits.FIRST_NEAR if misfit < refits.LINEAR else refits.FIRST)
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect], 100))
 
     def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> object:

@@ -20,14 +20,17 @@ from mphygs.simulate.errors import SimulationError
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
 BEGUN, FINISHED, NEARLY = 8, 3, 1.25
-# Jacobians of a refit that is begun: damping far from the data goes to its strength in stages.
-FIRST = 3
+# Jacobians of a refit that is begun; where all frames are nearly right. Far from the data damping goes to its
+# strength in stages.
+FIRST, FIRST_NEAR = 3, 2
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
-# Below this misfit [sigma] an effect is tried only where it is predicted to take this share of the excess,
-# and, short of this share of what the best takes, more than effects that do nothing.
-LINEAR, WORTH_A_REFIT, NEAR_BEST = 2.0, 0.03, 0.2
+# Below this misfit [sigma] an effect is tried only where it is predicted to take a share of the excess, less
+# where trials of a few sizes predict it, and, short of this share of what the best takes, more than effects
+# that do nothing.
+LINEAR, NEAR_BEST = 2.0, 0.2
+WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
 # near the best one even then is not begun. What sets in has no tangents.
 TELLING, BEYOND_TANGENTS = 4.0, 3.0
@@ -51,8 +54,8 @@ def promising(ranking: Ranking) -> list[Entry]:
         beyond = ranking.chi_square - ranking.rows
         # Smooth decoys do as well as most effects before a refit: they exclude none that is near the best.
         most = good[0].statistic if good else 0.0
-        floor = max(WORTH_A_REFIT * beyond, min(ranking.decoy_statistic, NEAR_BEST * most))
-        good = [e for e in good if e.statistic > floor]
+        floor = min(ranking.decoy_statistic, NEAR_BEST * most)
+        good = [e for e in good if e.statistic > max(floor, WORTH_A_REFIT[e.kind] * beyond)]
     if not good:
         return []
     chosen = [e for e in good if e.statistic > WORTH_A_TRY * good[0].statistic][:BEGUN]
@@ -74,6 +77,8 @@ def refits_of(
 ) -> list[Refit]:
     """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
     begun = []
+    # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
+    near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     for entry in promising(ranking):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
         least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
@@ -86,7 +91,7 @@ def refits_of(
             entry,
             spacing,
             share=window[0],
-            iterations=FIRST,
+            iterations=FIRST_NEAR if near else FIRST,
             hopeless=HOPELESS * best,
             report=say,
         )
@@ -102,12 +107,13 @@ def refits_of(
         ]
         begun.sort(key=lambda item: item[0])
     finished: list[Refit] = []
-    # Where the prediction holds, a few iterations tell who leads; only one that pays ends the search.
-    near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     for number, (chi_square, entry, solution) in enumerate(begun):
         # What the coarse grid has of its own may put the true effect a little behind.
+        # Only one that pays ends the search.
         behind = ALIKE if near and any(r.pays for r in finished) else BEHIND
-        if chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]:
+        # All are within a factor near the floor: there what they leave beyond it tells.
+        floor = solution.evaluation.data_rows if near and number >= FINISHED else 0
+        if chi_square - floor > (behind if number < FINISHED else NEARLY) * (begun[0][0] - floor):
             break
         result = finish_refit(
             experiment,
