@@ -377,6 +377,30 @@ def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(
     assert probe(monkeypatch, there, alike) is there
 
 
+def test_a_search_on_a_coarser_grid_begins_where_the_model_was_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, truth = scene()
+    begun: list[Belief] = []
+    monkeypatch.setattr(grids, "on_grid", lambda _e, step, _s, _r: begun.append(step.belief))
+    near, far = (truth.with_parameter(FREE[0], value=6e4 * factor) for factor in (0.99, 1.5))
+    for rough, now, expected in ((near, far, near), (far, near, near), (None, far, far)):
+        here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, rough=rough)
+        grids.probed(experiment, here, COARSE)
+        assert begun.pop() is expected
+    # A model that has changed since begins where it is.
+    fixed = near.with_parameter(FREE[0], free=False)
+    other = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=far, rough=fixed)
+    grids.probed(experiment, other, COARSE)
+    assert begun.pop() is far
+
+
+def test_a_step_on_a_finer_grid_knows_where_it_was_on_the_coarser() -> None:
+    experiment, truth = scene()
+    step = step_at(experiment, truth.with_parameter(FREE[0], value=6.3e4), COARSE)
+    fine = grids.on_grid(experiment, step, FINE, tangents=False)
+    assert fine.rough is step.belief is not fine.belief
+    assert grids.on_grid(experiment, fine, COARSE, tangents=False).rough is None
+
+
 class Recordings:
     """An experiment of two recordings, that knows only which."""
 

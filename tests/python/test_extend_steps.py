@@ -124,6 +124,9 @@ def test_a_step_is_restored_as_it_was() -> None:
         warnings=("something",),
     )  # fmt: skip
     same(full, again(experiment, full, ("gravity",)))
+    rough = plain_step.belief.with_parameter(KEY, value=5e4)
+    kept = again(experiment, replace(full, rough=rough)).rough
+    assert document_of_belief(kept) == document_of_belief(rough)
 
 
 def test_a_step_is_restored_with_the_grids_share() -> None:

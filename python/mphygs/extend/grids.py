@@ -157,7 +157,8 @@ def on_grid(
     assessment = experiment.assess(compared)
     say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
     moved = from_grid_to_grid(step, solution.belief, spacing)
-    changes = {"spacing": spacing, "lender": None, "beside": None, "moved": moved}
+    rough = step.belief if spacing < step.spacing else None
+    changes = {"spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough}
     return step.refitted(solution, compared, assessment, **changes)
 
 
@@ -389,7 +390,20 @@ def probed(
         except SimulationError:
             return step
         return coarse if coarse and explains(coarse, simple) else step
-    coarse = on_grid(experiment, step, spacing, report)
+    coarse = on_grid(experiment, _as_it_was(experiment, step, spacing), spacing, report)
     if coarse is None or coarse.assessment.worst > SAME_MISFIT * step.assessment.worst:
         return step
     return coarse
+
+
+def _as_it_was(experiment: Experiment, step: Step, spacing: float) -> Step:
+    """The step as it was fitted on a coarser grid, where that is the same model and fits better there."""
+    rough, now = step.rough, step.belief
+    if rough is None or [p.key for p in rough.free] != [p.key for p in now.free]:
+        return step
+    problem = experiment.problem(spacing)
+    try:
+        costs = [problem.evaluate(belief, jacobian=False).cost for belief in (rough, now)]
+    except SimulationError:
+        return step
+    return replace(step, belief=rough) if costs[0] < costs[1] else step

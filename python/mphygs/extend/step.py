@@ -27,8 +27,9 @@ class Step:
     fitted to all frames, explains them all; lender: spacing of the coarser grid that its Jacobians are
     of [m], None where they are its own; beside: spacing of the coarser grid that showed the discretisation's
     share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
-    coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); warnings:
-    what was said on the way to it."""
+    coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
+    the model as it had been fitted on the coarser grid that it was brought from; warnings: what was said on
+    the way to it."""
 
     belief: Belief
     solution: Solution
@@ -44,6 +45,7 @@ class Step:
     lender: float | None = None
     beside: float | None = None
     moved: Mapping[str, float] = field(default_factory=dict)
+    rough: Belief | None = None
     warnings: tuple[str, ...] = ()
 
     def refitted(

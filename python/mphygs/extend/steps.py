@@ -67,6 +67,7 @@ def state_of(step: Step) -> dict[str, object]:
         "refined": known_budget(step),
         "beside": step.beside,
         "moved": dict(step.moved),
+        "rough": step.rough and document_of_belief(step.rough),
         "since": step.since,
         "reconciled": step.reconciled,
         "warnings": list(step.warnings),
@@ -80,6 +81,7 @@ def restored(
     before: Sequence[str] = (),
 ) -> Step:
     """The step of a state and its document. before: effects of the step before it."""
+    rough = state.get("rough")
     step = step_at(
         experiment,
         belief_from_document(state["belief"]),
@@ -96,6 +98,7 @@ def restored(
         since=state["since"],
         reconciled=state["reconciled"],
         moved=state["moved"],
+        rough=rough and belief_from_document(rough),
         warnings=tuple(state["warnings"]),
     )
 
