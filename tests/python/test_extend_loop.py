@@ -12,9 +12,13 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, SPACING, recorded
 from mphygs.capture.holds import Load
 from mphygs.diagnose.contact_search import Plane, with_wall
+from mphygs.extend import discover as discover_module
 from mphygs.extend.discover import discover, first_fit, tractable_window
+from mphygs.extend.window import TRACTABLE
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.placement import masses_of_loads
+from mphygs.fit.schedule import Stage
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
 
@@ -59,6 +63,24 @@ def test_what_is_met_late_is_seen_from_the_model_of_the_frames_before(
     residual = solution.evaluation.residual[: solution.evaluation.data_rows]
     assert np.sqrt(np.mean(residual[rows < struck] ** 2)) < 1.15
     assert np.sqrt(np.mean(residual[rows >= struck] ** 2)) > 3.0
+
+
+def test_what_is_gross_on_the_screening_grid_is_not_dwelt_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first fit of a model that lacks a wall: fewer Jacobians there, no tangents on all frames."""
+    experiment, belief, _ = late_floor(0.03, -0.0055)
+    asked: list[float] = []
+
+    def fit(*_: object, plan: tuple[Stage, ...], **__: object) -> tuple[Solution, None]:
+        asked[:] = [stage.gross for stage in plan]
+        evaluation = experiment.problem(SPACING).evaluate(belief)
+        return Solution(belief, evaluation, (evaluation.cost,), True, "kept"), None
+
+    monkeypatch.setattr(discover_module, "fit_belief", fit)
+    for deciding, gross in ((0.8 * SPACING, TRACTABLE), (SPACING, np.inf)):
+        monkeypatch.setattr(discover_module, "deciding_spacing", lambda _capture, d=deciding: d)
+        step = first_fit(experiment, belief, SPACING)
+        assert step.assessment.worst > 20.0 and step.compared["a"].jacobian.shape[-1] == 0
+        assert set(asked) == {gross}
 
 
 # ---- a wall, and nothing else asked for -------------------------------------------------------

@@ -99,6 +99,29 @@ def test_a_step_into_what_cannot_be_simulated_is_shortened() -> None:
     np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-4)
 
 
+class Lacking(Toy):
+    """A swing beside one that the model lacks."""
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        found = super().evaluate(belief, jacobian=jacobian)
+        return replace(found, residual=found.residual + 20.0 * np.sin(40.0 * TIME))
+
+
+def test_a_gross_misfit_is_not_fitted_to_its_last_digits() -> None:
+    tight = {"tolerance": 1e-8, "relative_tolerance": 0.0}
+    far = start()
+    whole = minimise(Lacking(), far, **tight)
+    left = whole.evaluation.misfit
+    assert whole.converged and left > 10.0
+    sooner = minimise(Lacking(), far, gross=0.9 * left, **tight)
+    assert not sooner.converged and "gross" in sooner.reason
+    # It went on as long as that helped, and what is not gross is fitted to the end.
+    assert 1 < len(sooner.history) - 1 < len(whole.history) - 1
+    before, last = np.sqrt(sooner.history[-2:])
+    assert last > levenberg_marquardt.HARDLY * before > levenberg_marquardt.HARDLY * last
+    assert minimise(Lacking(), far, gross=2.0 * np.sqrt(whole.history[0]), **tight).history == whole.history
+
+
 # ---- Jacobians of another grid ----------------------------------------------------------------
 class Coarse(Toy):
     """A swing that is a little slower, as on a coarser grid."""

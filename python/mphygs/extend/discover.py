@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mphygs.compare.assess import Compared
+from mphygs.compare.assess import LARGEST_GRID_ERROR, Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
@@ -24,7 +24,7 @@ from mphygs.extend.refits import SCREENING_ACCURACY, refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
-from mphygs.extend.window import tractable_window
+from mphygs.extend.window import TRACTABLE, tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.schedule import deciding_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
@@ -84,7 +84,11 @@ def first_fit(
         experiment.predictor(name, spacing)
     plan = plan_of(experiment.capture, spacing, warm=warm)
     if spacing > FINE * deciding_spacing(experiment.capture):
-        plan = tuple(replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY)) for stage in plan)
+        # What is gross here is looked into on the first frames, from the start.
+        plan = tuple(
+            replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY), gross=TRACTABLE)
+            for stage in plan
+        )
     solution, _ = fit_belief(
         experiment.capture,
         experiment.starting(belief),
@@ -96,7 +100,9 @@ def first_fit(
         warm=warm,
         plan=plan,
     )
-    compared = experiment.compare(solution.belief, spacing)
+    # Where no grid's error excuses it no tangents are asked for (see `with_tangents`).
+    tangents = solution.evaluation.misfit < LARGEST_GRID_ERROR
+    compared = experiment.compare(solution.belief, spacing, jacobian=tangents)
     return Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
 
 

@@ -29,6 +29,8 @@ BORROWED_TRIALS = 3
 LENT = 1e-3
 # The fall of the cost that no step is worth taking for; the longest step of any logarithm.
 TOLERANCE, LONGEST_STEP = 0.05, 1.5
+# A gross misfit of which an iteration leaves this share is not worth another one.
+HARDLY = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,6 +256,7 @@ def minimise(
     longest_step: float = LONGEST_STEP,
     trials: int = 10,
     lender: Problem | None = None,
+    gross: float = np.inf,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
     """Minimise half the sum of squares of a problem over the free parameters of a belief.
@@ -261,7 +264,8 @@ def minimise(
     iterations: Jacobians, each used for a few steps; tolerance, relative_tolerance: stop when the next step
     promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
     longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
-    lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`).
+    lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
+    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     if lender is not None:
@@ -322,10 +326,13 @@ def minimise(
         if ratio > TRUSTED:
             after = _secant(current.jacobian, current.residual, trial.residual, step, diagonal)
             belief = _follow_secants(problem, belief, trial, after, damping, worth, longest_step)
-        current = problem.evaluate(belief)
+        before, current = current, problem.evaluate(belief)
         history.append(current.cost)
         if report:
             report(iteration, current, belief)
+        if current.misfit > max(gross, HARDLY * before.misfit):
+            reason = "gross, and hardly less by another iteration"
+            break
     return Solution(belief, current, tuple(history), converged, reason)
 
 

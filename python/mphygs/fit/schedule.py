@@ -50,6 +50,7 @@ class Stage:
     share: float
     iterations: int
     accuracy: float  # share of the cost that a last step may promise
+    gross: float = np.inf  # misfit [sigma] that is not lowered for long where it hardly falls
     reports: int = USUAL_ITERATIONS  # lines of progress to expect
 
     @property
@@ -222,7 +223,12 @@ def fit_belief(
         if number and stage.spacing < plan[number - 1].spacing:
             belief = _brought_onward(problem, belief, misfit, tell)
         solution = minimise(
-            problem, belief, iterations=iterations, report=tell, relative_tolerance=stage.accuracy
+            problem,
+            belief,
+            iterations=iterations,
+            report=tell,
+            relative_tolerance=stage.accuracy,
+            gross=stage.gross,
         )
         belief = solution.belief
         earlier, last, misfit = last, belief, solution.evaluation.misfit
