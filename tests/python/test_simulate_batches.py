@@ -7,6 +7,9 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
+from mphygs.model.registry import effect
+from mphygs.simulate import prediction
+from mphygs.simulate.batches import DEAR, PAIR, Batch, batches_of
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 from mphygs.simulate.settings import TRANSFERS
@@ -31,6 +34,37 @@ def test_unlike_constants_of_one_effect_do_not_mix(workers: int) -> None:
     sines = together[..., -12:].reshape(-1, 4, 3)[..., 1]
     cosine = sines.T @ sines / np.outer(*[np.linalg.norm(sines, axis=0)] * 2)
     assert (np.abs(cosine - np.eye(4)) < 0.999).all()
+
+
+def test_dear_effects_do_not_burden_the_runs_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture = bar_capture(frames=4, fps=100.0, fit=(0, 4))
+    belief = bar_belief(capture, youngs_modulus=6e4, free=())
+    predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float32"))
+    ways = smooth_ways(belief, predictor.body) + base_motion_ways(belief, [3.0, 9.0])
+    columns = [pair for way in ways for pair in way.columns]
+    found: list[Batch] = []
+
+    def batches(*args: object, **options: object) -> list[Batch]:
+        found[:] = batches_of(*args, **options)
+        return found
+
+    monkeypatch.setattr(prediction, "batches_of", batches)
+    plain = predictor.predict(belief).position
+    assert np.array_equal(predictor.predict(belief, candidates=columns).position, plain)
+    members = sorted(i for batch in found for i in batch.members)
+    moves = [i for i, (_, p) in enumerate(columns) if prediction.acts_in_simulation(p)]
+    assert members == list(range(len(moves))) and len(members) > 40
+    dear = [batch for batch in found if any(effect(name).site in DEAR for name in batch.active)]
+    active = {name for batch in dear for name in batch.active}
+    assert {"viscosity", "relaxation", "air_drag", "wind", "fibre"} <= active
+    assert all(effect(name).site in DEAR for name in active)
+    # Pairs of them; the others fill as few runs as there can be.
+    assert all(len(batch.members) <= PAIR for batch in dear)
+    light = [len(batch.members) for batch in found if batch not in dear]
+    assert len(light) == -(-sum(light) // 8) and max(light) <= 8
+    # Of winds along six axes no two can share a run: each is joined by what can be told beside it.
+    winds = [batch for batch in dear if "wind" in batch.active]
+    assert len(winds) == 6 and sum(len(batch.members) for batch in dear) > 1.8 * len(dear)
 
 
 @pytest.mark.parametrize("rest", ["stress-free", "equilibrium"])

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mphygs.model.belief import Belief, Parameter
-from mphygs.model.registry import core_parameter_nulls, core_parameter_offsets, effects
+from mphygs.model.registry import core_parameter_nulls, core_parameter_offsets, effect, effects
 from mphygs.simulate.body import Body
 from mphygs.simulate.fields import core_effects, places, primal
 
 Owned = tuple[Belief, Parameter]
+
+# Where an effect is evaluated at every point, with derivatives; directions that one evaluation carries.
+DEAR, PAIR = ("volume", "surface"), 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,16 +42,24 @@ def batches_of(
 ) -> list[Batch]:
     """Share parameters out to as few runs as there can be, alike in size: whoever runs them, the same bits.
 
+    An effect of the volume or the surface that an owner adds costs every two directions of its run as much as
+    several of them: such parameters share runs of two with each other.
+
     base: fields of the belief; owned: parameters, each with the belief that has it: this one plus effects at
     their null; changes: of the fields by each; largest: parameters to a run.
     """
-    runs = -(-len(owned) // largest)
-    size = -(-len(owned) // runs)
-    # Parameters that need the same effects share a run; others do not pay the rest of an effect's cost.
-    order = sorted(range(len(owned)), key=lambda i: core_effects(owned[i][0]))
     own = set(core_effects(belief))
+    added = [frozenset(set(core_effects(owner)) - own) for owner, _ in owned]
+    dear = [any(known.site in DEAR for known in map(effect, names)) for names in added]
+    light = max(len(owned) - sum(dear), 1)
+    size = -(-light // -(-light // largest))
+    # Parameters that need the same effects share a run; others do not pay the rest of an effect's cost. Those
+    # come first of which there are most: no two of them may be able to share a run.
+    many = Counter(added)
+    order = sorted(range(len(owned)), key=lambda i: (dear[i], -many[added[i]], sorted(added[i])))
+    sizes = [min(PAIR, largest) if is_dear else size for is_dear in dear]
     found = []
-    for members in _together(order, belief, [owner for owner, _ in owned], body, size):
+    for members in _together(order, belief, [owner for owner, _ in owned], body, sizes):
         owners = [owned[i][0] for i in members]
         active = tuple(sorted(own.union(*(core_effects(owner) for owner in owners))))
         spots, fields, directions = _merged(belief, body, base, owners, [changes[i] for i in members])
@@ -56,24 +68,27 @@ def batches_of(
 
 
 def _together(
-    order: Sequence[int], belief: Belief, owners: Sequence[Belief], body: Body, size: int
+    order: Sequence[int], belief: Belief, owners: Sequence[Belief], body: Body, sizes: Sequence[int]
 ) -> list[tuple[int, ...]]:
-    """Members of each run, `size` at most.
+    """Members of each run. sizes: of the runs that each may be in; others it does not join.
 
     A run has one value of every constant: owners of one effect with unlike ones (a frequency, a phase, a
     relaxation time) never share it.
     """
     constants: dict[int, np.ndarray] = {}
     members: list[list[int]] = []
+    largest: list[int] = []
     brought: list[np.ndarray] = []
     for i in order:
         own = constants.setdefault(id(owners[i]), _brought(belief, owners[i], body))
         for k, there in enumerate(brought):
             both = np.isfinite(own) & np.isfinite(there)
-            if len(members[k]) < size and np.array_equal(own[both], there[both]):
+            room = len(members[k]) < largest[k] == sizes[i]
+            if room and np.array_equal(own[both], there[both]):
                 break
         else:
             members.append([])
+            largest.append(sizes[i])
             brought.append(np.full(own.shape, np.nan))
             k = len(members) - 1
         members[k].append(i)
