@@ -12,6 +12,7 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, entry_of, recorded
 from mphygs.capture.holds import Load
 from mphygs.diagnose import rank as ranking
+from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.rank import Entry, rank
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -100,6 +101,17 @@ def test_thresholds_alone_can_be_ranked() -> None:
     assert [(entry.effect, entry.kind) for entry in found.entries] == [("plasticity", "threshold")]
     assert found.entries[0].label.startswith("yield stress")
     assert ranked("contact", "plasticity").entries[-1].kind == "threshold"
+
+
+def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What explains much before a refit, at a wrong place, may beat the wall that stands there."""
+    planes = [Plane(np.array([0.0, 0.0, 1.0]), offset) for offset in (-0.2, -0.012, -0.014)]
+    monkeypatch.setattr(ranking, "search", lambda *_a, **_k: planes)
+    (entry,) = ranked("contact").entries
+    starts = [entry.start, *entry.others]
+    assert sorted(start["contact.d"].value for start in starts) == [-0.2, -0.014, -0.012]
+    (sizes,) = ranked("plasticity").entries
+    assert sizes.others == ()
 
 
 def test_smooth_effects_that_the_motion_cannot_test_are_said_to_be_so() -> None:

@@ -352,6 +352,8 @@ def _trials(
                 estimate,
                 {},
                 trial.belief,
+                # Trials of a wall are places, those of other effects sizes: no way leads from one to another.
+                others=tuple(t.belief for t in kept if t is not trial) if kind == "contact" else (),
             )
         )
     return entries
