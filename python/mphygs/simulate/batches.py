@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -54,9 +53,12 @@ def batches_of(
     light = max(len(owned) - sum(dear), 1)
     size = -(-light // -(-light // largest))
     # Parameters that need the same effects share a run; others do not pay the rest of an effect's cost. Those
-    # come first of which there are most: no two of them may be able to share a run.
-    many = Counter(added)
-    order = sorted(range(len(owned)), key=lambda i: (dear[i], -many[added[i]], sorted(added[i])))
+    # come first of which there are most owners: no two of them may be able to share a run.
+    owners_of: dict[frozenset[str], set[int]] = {}
+    for (owner, _), names in zip(owned, added, strict=True):
+        owners_of.setdefault(names, set()).add(id(owner) if names else 0)
+    rank = [(dear[i], -len(owners_of[names]), sorted(names)) for i, names in enumerate(added)]
+    order = sorted(range(len(owned)), key=rank.__getitem__)
     sizes = [min(PAIR, largest) if is_dear else size for is_dear in dear]
     found = []
     for members in _together(order, belief, [owner for owner, _ in owned], body, sizes):
