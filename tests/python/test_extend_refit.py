@@ -126,6 +126,39 @@ def test_a_refit_begins_at_the_strength_that_fits_best(
     assert started == [pytest.approx(strength * estimate * ETA)]
 
 
+@pytest.mark.parametrize(
+    ("costs", "asked"),
+    [
+        # goes on while an iteration leaves less than 0.7, four times at most
+        ([100.0, 60.0, 30.0, 20.0, 15.0], 3),
+        ([100.0, 60.0, 30.0, 15.0, 7.0, 3.0, 1.0, 0.4], 4),
+        ([100.0, 90.0, 40.0], 0),
+        # it cannot be simulated farther
+        ([100.0, 60.0, 30.0], 2),
+    ],
+)
+def test_a_refit_that_still_falls_goes_on(
+    costs: list[float], asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, before, usual, _ = scene()
+    evaluation, left, seen = before.evaluation, costs[1:], []
+
+    def further(_problem: object, belief: Belief, *, iterations: int, **_: object) -> Solution:
+        seen.append(iterations)
+        if not left:
+            raise SimulationError("no farther")
+        last, now = costs[-len(left) - 1], left.pop(0)
+        return Solution(belief, evaluation, (last, now), False, "iterations used up")
+
+    first = Solution(usual.start, evaluation, (200.0, costs[0]), False, "iterations used up")
+    monkeypatch.setattr(refit, "_led", lambda *_: first)
+    monkeypatch.setattr(refit, "minimise", further)
+    found, said = begun(iterations=2)
+    assert found is not None and len(seen) == 1 + asked and set(seen) == {1}
+    made = len(costs) - len(left)
+    assert found.history[-1] == costs[made - 1] and f"after {made} iterations" in said[0]
+
+
 def test_a_refit_finds_its_effect() -> None:
     _, before, entry, _ = scene()
     solution, said = begun()

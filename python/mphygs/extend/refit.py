@@ -31,6 +31,9 @@ MOSTLY_EXPLAINED = 0.25
 # Of a wall or of yielding: so little left is asked further even where unseen frames do not gain.
 NEARLY_ALL = 0.1
 STRENGTHS = (0.5, 1.0, 2.0)
+# A refit that is begun goes on for so many more iterations as long as each leaves less than this share: a
+# viscosity, say, goes to its strength in stages, for no step may shorten the substep much.
+FALLING, MORE = 0.7, 4
 # Of the substep without the effect: no refit starts with less.
 SHORTEST_SUBSTEP = 0.3
 # A refit that leaves so much [sigma] is near the floor and not at it: its materials may be where a model
@@ -128,7 +131,8 @@ def start_refit(
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
     """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate,
-    whichever fits best; where it has several starts, from the one that is best after an iteration.
+    whichever fits best; where it has several starts, from the one that is best after an iteration. A few more
+    as long as they bring much.
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends after the
     first iteration; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
@@ -154,9 +158,26 @@ def start_refit(
         except SimulationError:
             return None
         done += len(solution.history) - 1
+        for _ in range(MORE):
+            further = _further(problem, solution)
+            if further is None:
+                break
+            solution, done = further, done + 1
     if report:
         report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
     return solution
+
+
+def _further(problem: Problem, solution: Solution) -> Solution | None:
+    """One more iteration where the last one brought much and another can be made."""
+    costs = solution.history[-2:]
+    if solution.converged or len(costs) < 2 or costs[1] > FALLING * costs[0]:
+        return None
+    try:
+        further = minimise(problem, solution.belief, iterations=1, relative_tolerance=1e-3)
+    except SimulationError:
+        return None
+    return further if len(further.history) > 1 else None
 
 
 def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) -> Belief | None:
