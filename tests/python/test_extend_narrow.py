@@ -52,6 +52,15 @@ def test_a_wind_that_blows_stays() -> None:
     assert narrowed(experiment, step) is step
 
 
+def test_a_wind_that_only_takes_up_what_the_grid_has_is_still_air(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, step = scene(0.0)
+    monkeypatch.setattr(narrow, "_untold", lambda *_: False)
+    assert narrowed(experiment, step).added == ("air_drag",)
+    # What blows and is not explained without is no tie either.
+    monkeypatch.setattr(narrow, "_with", lambda *_: None)
+    assert narrowed(experiment, step) is step
+
+
 def test_where_still_air_does_not_explain_it_is_a_tie(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, step = scene(0.0)
     monkeypatch.setattr(narrow, "_with", lambda *_: None)

@@ -1,4 +1,4 @@
-"""An effect whose further parameters are not told from zero, held against the simpler one that it then is."""
+"""An effect that is another one with more numbers, held against that one."""
 
 from __future__ import annotations
 
@@ -26,22 +26,24 @@ ITERATIONS, REFITTED = 6, 1e-3
 def narrowed(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """The step with the simpler effect where that explains the motion too, the wider one tied with it.
 
-    Asked of a model that explains the motion. Where the simpler effect does not, it is one of the ties:
-    numbers that may be zero do not tell the two apart.
+    Asked of a model that explains the motion: what a grid has of its own, further numbers may take up. Where
+    the simpler effect does not explain it, it is one of the ties if those numbers may all be zero: they do not
+    tell the two apart.
     """
     if not step.explained:
         return step
     for wide, (simple, further) in SPECIAL.items():
         effects = step.belief.effects
-        if wide not in effects or simple in effects or not _untold(experiment, step, wide, further):
+        if wide not in effects or simple in effects:
             continue
         after = _with(experiment, step, wide, simple, report)
         if after is None or not after.explained:
-            step = replace(step, ties=tuple(dict.fromkeys((*step.ties, simple))))
+            if _untold(experiment, step, wide, further):
+                step = replace(step, ties=tuple(dict.fromkeys((*step.ties, simple))))
             continue
         if report:
             report(
-                f"{wide} with numbers that may all be zero: {simple} explains the motion too, "
+                f"{wide}, {simple} with more numbers: {simple} explains the motion too, "
                 f"{step.assessment.worst:.3f} -> {after.assessment.worst:.3f} sigma in the worst range"
             )
         step = after
