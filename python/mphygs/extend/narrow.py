@@ -27,8 +27,8 @@ def narrowed(experiment: Experiment, step: Step, report: Callable[[str], None] |
     """The step with the simpler effect where that explains the motion too, the wider one tied with it.
 
     Asked of a model that explains the motion: what a grid has of its own, further numbers may take up. Where
-    the simpler effect does not explain it, it is one of the ties if those numbers may all be zero: they do not
-    tell the two apart.
+    the simpler effect does not explain it, it is one of the ties if those numbers may all be zero: they do
+    not tell the two apart.
     """
     if not step.explained:
         return step
