@@ -107,6 +107,21 @@ def test_a_misfit_that_is_small_is_looked_at_over_all_frames(fits: list[float]) 
     assert share == 1.0 and fitted_share(solution.belief) == 1.0 and fits == []
 
 
+@pytest.mark.parametrize(
+    ("misfit", "added", "whole"), [(1.2, (), True), (1.3, (), False), (1.3, ("gravity",), True)]
+)
+def test_a_material_at_its_bound_says_that_the_motion_was_bought(
+    misfit: float, added: tuple[str, ...], whole: bool, fits: list[float]
+) -> None:
+    experiment = Frames(lambda _fitted, _seen: misfit)
+    belief = plain_belief().with_parameter(KEY, value=1e6, upper=1e6)
+    solution = solution_of(belief, experiment.problem(SPACING).evaluate(belief))
+    step = replace(step_of(assessment_of(9.0), added=added), belief=belief, solution=solution)
+    share, _ = tractable_window(experiment, step, SPACING, lambda _text: None)
+    assert (share == 1.0 and fits == []) is whole
+    assert whole or share == fits[-1] == 0.25
+
+
 def growing(per_share: float) -> Misfit:
     return lambda _fitted, seen: max(1.0, per_share * seen)
 

@@ -82,11 +82,12 @@ def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, f
     return {
         p.key: (p.coordinate - before[p.key].coordinate) / ratio
         for p in fitted.free
-        if p.key in before and not (_at_bound(p) or _at_bound(before[p.key]))
+        if p.key in before and not (at_bound(p) or at_bound(before[p.key]))
     }
 
 
-def _at_bound(parameter: Parameter) -> bool:
+def at_bound(parameter: Parameter) -> bool:
+    """Whether a parameter stands at one of its bounds."""
     low, high = parameter.lower, parameter.upper
     near = 1e-6 * max(abs(parameter.value), 1e-300)
     return parameter.value - low <= near or high - parameter.value <= near

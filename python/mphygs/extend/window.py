@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mphygs.diagnose.grid_error import unabsorbed
-from mphygs.extend.step import Step
+from mphygs.extend.step import Step, at_bound
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
@@ -30,21 +30,28 @@ def _ratio(evaluation: Evaluation, explained: Sequence[str] = ()) -> float:
     return float(np.sqrt(sum(r @ r for r in of) / max(sum(len(r) for r in of), 1)))
 
 
+def _absurd(belief: Belief) -> bool:
+    """Whether a material ended at a bound."""
+    return any(at_bound(p) for p in belief.free if p.log and p.key.rsplit(".", 1)[0] in belief.parts)
+
+
 def tractable_window(
     experiment: Experiment, current: Step, spacing: float, say: Callable[[str], None]
 ) -> tuple[float, Solution]:
     """The share of the fitted frames to diagnose on, and the model fitted to them.
 
-    A model that lacks a strong effect buys the whole motion with absurd materials, and no tangent there says
-    anything. Over its first frames the same model is nearly right: the window ends where the misfit is
-    clearly more than noise, and may not well be the grid's own, but still small.
+    A model that lacks a strong effect buys the whole motion with absurd materials (one at a bound says that
+    it did), and no tangent there says anything. Over its first frames the same model is nearly right: the
+    window ends where the misfit is clearly more than noise, and may not well be the grid's own, but still
+    small.
     """
     evaluation = current.solution.evaluation
 
     def ratio_of(evaluation: Evaluation) -> float:
         return _ratio(evaluation, experiment.whole)
 
-    if ratio_of(evaluation) < TRACTABLE:
+    limit = VISIBLE if not current.added and _absurd(current.belief) else TRACTABLE
+    if ratio_of(evaluation) < limit:
         return 1.0, current.solution
     belief = current.belief
     if experiment.whole:
