@@ -590,6 +590,29 @@ def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
     assert len(finished) == asked
 
 
+@pytest.mark.parametrize(("misfit", "asked"), [(1.5, 4), (2.5, 5)])
+def test_near_the_floor_those_after_the_third_are_held_by_what_they_leave_beyond_it(
+    misfit: float, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """100 rows: beyond them the best leaves 20, the fourth 24, the fifth 26, within a quarter of 120."""
+    chi_squares = dict(zip(("tether", "wind", "fibre", "gravity", "air_drag"), (120, 121, 122, 124, 126), strict=True))
+    finished: list[str] = []
+
+    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+        return solution_of(plain_belief(), evaluation_of(float(chi_squares[entry.effect]), 100))
+
+    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> None:
+        finished.append(entry.effect)
+
+    monkeypatch.setattr(refits, "start_refit", start_refit)
+    monkeypatch.setattr(refits, "finish_refit", finish_refit)
+    entries = [entry_of(name, 1e4) for name in chi_squares]
+    window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
+    ranking = ranking_of(*entries, misfit=misfit)
+    refits_of(None, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+    assert len(finished) == asked
+
+
 def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[str] = []
 

@@ -22,6 +22,7 @@ from extend_example import (
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose import grid_error
 from mphygs.extend import finer, grids
+from mphygs.extend import probe as probing
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
@@ -359,8 +360,8 @@ def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyP
 
 # ---- the grid for a search --------------------------------------------------------------------
 def probe(monkeypatch: pytest.MonkeyPatch, fine: Step, coarse: Step | None) -> Step:
-    monkeypatch.setattr(grids, "on_grid", lambda _e, _s, spacing, _r: coarse)
-    return grids.probed(scene()[0], fine, trying())
+    monkeypatch.setattr(probing, "on_grid", lambda _e, _s, spacing, _r: coarse)
+    return probing.probed(scene()[0], fine, trying())
 
 
 def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(
@@ -380,16 +381,16 @@ def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(
 def test_a_search_on_a_coarser_grid_begins_where_the_model_was_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, truth = scene()
     begun: list[Belief] = []
-    monkeypatch.setattr(grids, "on_grid", lambda _e, step, _s, _r: begun.append(step.belief))
+    monkeypatch.setattr(probing, "on_grid", lambda _e, step, _s, _r: begun.append(step.belief))
     near, far = (truth.with_parameter(FREE[0], value=6e4 * factor) for factor in (0.99, 1.5))
     for rough, now, expected in ((near, far, near), (far, near, near), (None, far, far)):
         here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, rough=rough)
-        grids.probed(experiment, here, COARSE)
+        probing.probed(experiment, here, COARSE)
         assert begun.pop() is expected
     # A model that has changed since begins where it is.
     fixed = near.with_parameter(FREE[0], free=False)
     other = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=far, rough=fixed)
-    grids.probed(experiment, other, COARSE)
+    probing.probed(experiment, other, COARSE)
     assert begun.pop() is far
 
 
@@ -432,20 +433,20 @@ def test_causes_of_the_others_misfit_are_looked_for_from_what_explains_the_simpl
         went.append((first, step))
         return whole
 
-    monkeypatch.setattr(grids, "on_grid", on_grid)
-    monkeypatch.setattr(grids, "among_all", among_all)
-    assert grids.probed(Recordings(), here, coarse, simple=("s0",)) is whole
+    monkeypatch.setattr(probing, "on_grid", on_grid)
+    monkeypatch.setattr(probing, "among_all", among_all)
+    assert probing.probed(Recordings(), here, coarse, simple=("s0",)) is whole
     assert went == [(("s0",), 1e3, coarse), (here.belief, alone)]
     # The simplest are not explained on that grid: nothing is seen from there.
     whole = replace(whole, assessment=assessment_of(1.2, 22.0))
-    assert grids.probed(Recordings(), here, coarse, simple=("s0",)) is here
+    assert probing.probed(Recordings(), here, coarse, simple=("s0",)) is here
 
     # Nor where that grid cannot carry the others.
     def unstable(*_: object) -> Step:
         raise SimulationError("unstable")
 
-    monkeypatch.setattr(grids, "among_all", unstable)
-    assert grids.probed(Recordings(), here, coarse, simple=("s0",)) is here
+    monkeypatch.setattr(probing, "among_all", unstable)
+    assert probing.probed(Recordings(), here, coarse, simple=("s0",)) is here
 
 
 def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None:

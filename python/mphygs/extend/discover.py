@@ -7,15 +7,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mphygs.compare.assess import LARGEST_GRID_ERROR, Compared
+from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Ranking, rank
 from mphygs.extend.anew import anew
 from mphygs.extend.exchange import exchanged
-from mphygs.extend.grids import finely, polished, probed, refined, with_budget
+from mphygs.extend.finer import compared_at
+from mphygs.extend.grids import finely, polished, refined, with_budget
 from mphygs.extend.narrow import narrowed
+from mphygs.extend.probe import probed
 from mphygs.extend.prune import pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
@@ -100,9 +102,7 @@ def first_fit(
         warm=warm,
         plan=plan,
     )
-    # Where no grid's error excuses it no tangents are asked for (see `with_tangents`).
-    tangents = solution.evaluation.misfit < LARGEST_GRID_ERROR
-    compared = experiment.compare(solution.belief, spacing, jacobian=tangents)
+    compared = compared_at(experiment, solution.belief, spacing)
     return Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
 
 

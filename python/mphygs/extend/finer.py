@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -211,3 +211,14 @@ def with_tangents(
         return lent_by(coarse)
     except SimulationError:  # the coarse grid cannot carry it
         return lent_by(spacing)
+
+
+def closest(problem: Problem, beliefs: Sequence[Belief]) -> Belief | None:
+    """The belief that fits best, the first of equals; None where none can be simulated."""
+    costs = []
+    for number, belief in enumerate(beliefs):
+        try:
+            costs.append((problem.evaluate(belief, jacobian=False).cost, number))
+        except SimulationError:
+            continue
+    return beliefs[min(costs)[1]] if costs else None

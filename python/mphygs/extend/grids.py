@@ -20,7 +20,6 @@ from mphygs.extend.finer import (
 )
 from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.setting_in import fit_what_sets_in, placed
-from mphygs.extend.simplest import among_all, explains
 from mphygs.extend.step import EXPLAINED, Step, excess, from_grid_to_grid, known_budget
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
@@ -44,8 +43,6 @@ GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
 # An effect that leaves less than this share of the excess is asked there as well where the grid may have all
 # that is left.
 LARGELY = 0.5
-# A misfit that a coarser grid has as well, within this factor, is looked for there.
-SAME_MISFIT = 1.3
 # The frames before something sets in, over those in which it was first seen.
 BEFORE = 0.85
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
@@ -362,48 +359,3 @@ def _far_beyond(coarse: Step, fine: Step) -> bool:
     change = coarse.assessment.worst - fine.assessment.worst
     rest = max(change, 0.0) / ((coarse.spacing / fine.spacing) ** 2 - 1.0)
     return fine.assessment.worst - BEYOND * rest > CLEAR
-
-
-def probed(
-    experiment: Experiment,
-    step: Step,
-    spacing: float,
-    report: Callable[[str], None] | None = None,
-    *,
-    simple: Sequence[str] = (),
-) -> Step:
-    """The step to look for its misfit's cause in: on a coarser grid where that shows the same misfit, at a
-    fraction of the work, else as it is.
-
-    spacing: of the coarser grid [m]; simple: sequences that a model of all is first to explain. A step that
-    explains them is refitted to them alone: what the others have besides is to be seen from there, and a fit
-    to all buys it with absurd materials.
-    """
-    if step.spacing > 0.9 * spacing:
-        return step
-    if simple and explains(step, simple):
-        inner = experiment.only(simple)
-        alone = replace(step, belief=inner.starting(step.belief))
-        alone = on_grid(inner, alone, spacing, report, tangents=False)
-        try:
-            coarse = alone and among_all(experiment, step.belief, alone)
-        except SimulationError:
-            return step
-        return coarse if coarse and explains(coarse, simple) else step
-    coarse = on_grid(experiment, _as_it_was(experiment, step, spacing), spacing, report)
-    if coarse is None or coarse.assessment.worst > SAME_MISFIT * step.assessment.worst:
-        return step
-    return coarse
-
-
-def _as_it_was(experiment: Experiment, step: Step, spacing: float) -> Step:
-    """The step as it was fitted on a coarser grid, where that is the same model and fits better there."""
-    rough, now = step.rough, step.belief
-    if rough is None or [p.key for p in rough.free] != [p.key for p in now.free]:
-        return step
-    problem = experiment.problem(spacing)
-    try:
-        costs = [problem.evaluate(belief, jacobian=False).cost for belief in (rough, now)]
-    except SimulationError:
-        return step
-    return replace(step, belief=rough) if costs[0] < costs[1] else step

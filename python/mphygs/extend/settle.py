@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.extend.finer import carried_over, lent, less_the_change
+from mphygs.extend.finer import carried_over, closest, lent, less_the_change
 from mphygs.extend.grids import complete, on_grid, refined
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
-from mphygs.simulate.errors import SimulationError
 
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
 # many at most.
@@ -89,13 +88,8 @@ def _nearest(problem: Problem, rival: Step, best: Step) -> Step | None:
     for p in rival.belief.parameters:
         if p.free and p.key in found and p.key.split(".")[0] not in rival.added:
             belief = belief.with_parameter(p.key, value=min(max(found[p.key], p.lower), p.upper))
-    costs = []
-    for start in (rival.belief, belief):
-        try:
-            costs.append((problem.evaluate(start, jacobian=False).cost, len(costs), start))
-        except SimulationError:
-            continue
-    return replace(rival, belief=min(costs)[2]) if costs else None
+    nearest = closest(problem, (rival.belief, belief))
+    return nearest and replace(rival, belief=nearest)
 
 
 def _takes_the_grids(best: Step, rival: Step) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.extend.refit import Refit
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.model.belief import Belief, Parameter
+from mphygs.model.belief import Belief
 
 # The error counts as explained below this many sigma on every range.
 EXPLAINED = 1.1
@@ -82,15 +82,8 @@ def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, f
     return {
         p.key: (p.coordinate - before[p.key].coordinate) / ratio
         for p in fitted.free
-        if p.key in before and not (at_bound(p) or at_bound(before[p.key]))
+        if p.key in before and not (p.at_bound or before[p.key].at_bound)
     }
-
-
-def at_bound(parameter: Parameter) -> bool:
-    """Whether a parameter stands at one of its bounds."""
-    low, high = parameter.lower, parameter.upper
-    near = 1e-6 * max(abs(parameter.value), 1e-300)
-    return parameter.value - low <= near or high - parameter.value <= near
 
 
 def known_budget(step: Step) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mphygs.diagnose.grid_error import unabsorbed
-from mphygs.extend.step import Step, at_bound
+from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
@@ -32,7 +32,7 @@ def _ratio(evaluation: Evaluation, explained: Sequence[str] = ()) -> float:
 
 def _absurd(belief: Belief) -> bool:
     """Whether a material ended at a bound."""
-    return any(at_bound(p) for p in belief.free if p.log and p.key.rsplit(".", 1)[0] in belief.parts)
+    return any(p.at_bound for p in belief.free if p.log and p.key.rsplit(".", 1)[0] in belief.parts)
 
 
 def tractable_window(

@@ -10,7 +10,7 @@ method for large scale optimization", 1989; both as in torch.optim.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,7 @@ from torch import Tensor
 from mphygs.compare.noise import Observation
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Problem
-from mphygs.model.belief import Belief, Parameter
+from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 
@@ -146,7 +146,7 @@ def minimise_by_gradient(
         raise ValueError("minimise_by_gradient: expected a belief with free parameters")
     options = (method, iterations, learning_rate, tolerance, relative_tolerance, report)
     found, history, converged, reason = _search(problem, belief, *options)
-    held = [p.key for p in found.free if _at_bound(p)]
+    held = [p.key for p in found.free if p.at_bound]
     left = iterations + 1 - len(history)
     if held and left > 0 and len(held) < len(found.free):
         # Where the gradient is cut off at a bound the search creeps: once more, with what stands there held.
@@ -159,12 +159,6 @@ def minimise_by_gradient(
         for key in held:
             found = found.with_parameter(key, free=True)
     return Solution(found, problem.evaluate(found), tuple(history), converged, reason)
-
-
-def _at_bound(parameter: Parameter) -> bool:
-    bounds = (parameter.lower, parameter.upper)
-    values = [v for v in bounds if np.isfinite(v) and not (parameter.log and v <= 0.0)]
-    return any(abs(parameter.coordinate - replace(parameter, value=v).coordinate) < 1e-9 for v in values)
 
 
 def _search(

@@ -51,6 +51,12 @@ class Parameter:
         return replace(self, value=float(min(max(value, self.lower), self.upper)))
 
     @property
+    def at_bound(self) -> bool:
+        """Whether the value stands at one of its bounds."""
+        bounds = [v for v in (self.lower, self.upper) if math.isfinite(v)]
+        return any(abs(self.coordinate - replace(self, value=v).coordinate) < 1e-9 for v in bounds)
+
+    @property
     def slope(self) -> float:
         """d value / d coordinate."""
         return self.value if self.log else self.scale
