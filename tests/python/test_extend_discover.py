@@ -595,7 +595,7 @@ def test_near_the_floor_those_after_the_third_are_held_by_what_they_leave_beyond
     misfit: float, asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """100 rows: beyond them the best leaves 20, the fourth 24, the fifth 26, within a quarter of 120."""
-    chi_squares = dict(zip(("tether", "wind", "fibre", "gravity", "air_drag"), (120, 121, 122, 124, 126), strict=True))
+    chi_squares = {"tether": 120, "wind": 121, "fibre": 122, "gravity": 124, "air_drag": 126}
     finished: list[str] = []
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
