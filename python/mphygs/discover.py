@@ -104,10 +104,12 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         seen = assembled(seen, given["stages"] / FOLDER)
         # the loop judges by tracks: a belief between them and the pictures is no minimum of theirs
         given["without"] = "l2d"
-    if options.spacing is None and seen is not None:
+    screening = options.spacing is None and seen is not None
+    if screening:
         given["spacing"] = screening_spacing(seen)
     resume_fit = options.resume and (first / "run.json").is_file()
-    state, capture = fitted(FitOptions(**(given | {"out": first, "resume": resume_fit})), console)
+    first_options = FitOptions(**(given | {"out": first, "resume": resume_fit}))
+    state, capture = fitted(first_options, console, screening=screening)
     console.resume = f"{PROGRAM} {shlex.quote(str(state.capture))} --out {shlex.quote(str(out))} --resume"
     if kept.get("verdict"):
         answer = {key: kept[key] for key in ANSWER} | {"missing_force": kept.get("missing_force")}
@@ -135,7 +137,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         seed=state.seed,
         names=candidates,
         start=steps,
-        screening=options.spacing is None and options.capture is not None,
+        screening=screening,
         report=lambda text: console.say(f"[{duration(console.seconds)}] {text}"),
         on_step=on_step,
     )

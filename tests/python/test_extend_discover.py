@@ -33,6 +33,9 @@ from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
+# An experiment on one core, of which nothing else is asked.
+ALONE = SimpleNamespace(settings=SimpleNamespace(workers=1))
+
 KEY = "part0.youngs_modulus"
 
 # ---- the window -------------------------------------------------------------------------------
@@ -289,7 +292,9 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
     fitted: list[tuple[str, float]] = []
     bounds: dict[tuple[str, float], float] = {}
 
-    def fit(share: float, belief: str, *, hopeless: float) -> object:
+    def fit(share: float, belief: str, *, iterations: int, hopeless: float) -> object:
+        # Two tell smooth effects apart; what sets in takes more.
+        assert iterations == (3 if belief == "plasticity" else 2)
         fitted.append((belief, share))
         bounds[belief, share] = hopeless
         if share not in courses[belief]:
@@ -297,7 +302,7 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
         return SimpleNamespace(belief=belief, evaluation=evaluation_of(courses[belief][share]))
 
     monkeypatch.setattr(refits, "fit_what_sets_in", fit)
-    experiment = SimpleNamespace(window=lambda spacing, share: share)
+    experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
     begun = [
         (
             entry_of(name, 100.0, kind="threshold" if name == "plasticity" else "smooth"),
@@ -389,7 +394,7 @@ def kept(
 
     monkeypatch.setattr(settle, "refined", refined)
     monkeypatch.setattr(settle, "on_grid", on_grid)
-    found = settled(None, [step_of(assessment_of(20.0))], best, rivals, None, screening=True)
+    found = settled(ALONE, [step_of(assessment_of(20.0))], best, rivals, None, screening=True)
     assert set(asked) <= {grid}
     return found
 
@@ -496,7 +501,7 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
         monkeypatch.setattr(settle, function.__name__, function)
     best, rival = at(model("viscosity", 0.05, 2), 6e4), at(model("fibre", 0.06, 2), 5e4)
     first = [step_of(assessment_of(20.0))]
-    found = settled(object(), first, best, [rival], None, screening=True)
+    found = settled(ALONE, first, best, [rival], None, screening=True)
     # It begins with the materials that the best one found there, where its own fit worse,
     assert went[0] == ("carried over", 6e4)
     if left > 0.05:
@@ -509,7 +514,7 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     # and with its own, where they fit better.
     costs[5e4] = 0.5
     went.clear()
-    settled(object(), first, best, [rival], None, screening=True)
+    settled(ALONE, first, best, [rival], None, screening=True)
     assert went[0] == ("carried over", 5e4)
 
 
@@ -558,7 +563,7 @@ def test_only_what_pays_sets_a_bound_for_others(
     entries = [entry_of(name, 1e4) for name in chi_squares]
     current = step_of(assessment_of(5.0))
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4, rows)))
-    refits_of(None, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
+    refits_of(ALONE, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
     assert bounds["base_motion"] == np.inf
     assert bounds["relaxation"] == pytest.approx(refits.ALIKE * bound)
 
@@ -586,7 +591,7 @@ def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
     ranking = ranking_of(*entries, misfit=misfit)
-    refits_of(None, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+    refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
     assert len(finished) == asked
 
 
@@ -609,7 +614,7 @@ def test_near_the_floor_those_after_the_third_are_held_by_what_they_leave_beyond
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
     ranking = ranking_of(*entries, misfit=misfit)
-    refits_of(None, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+    refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
     assert len(finished) == asked
 
 
@@ -633,7 +638,7 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
         begun.clear()
         ranking = replace(ranking_of(*entries, misfit=misfit), chi_square=1e4)
         ranking = replace(ranking, rows=round(1e4 / misfit**2))
-        refits_of(None, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+        refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
         return list(begun)
 
     assert begun_at(3.9) == ["air_drag", "fibre", "contact"]

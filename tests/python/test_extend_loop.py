@@ -14,11 +14,11 @@ from mphygs.capture.holds import Load
 from mphygs.diagnose.contact_search import Plane, with_wall
 from mphygs.extend import discover as discover_module
 from mphygs.extend.discover import discover, first_fit, tractable_window
-from mphygs.extend.window import TRACTABLE
+from mphygs.fit import schedule
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.placement import masses_of_loads
-from mphygs.fit.schedule import Stage
+from mphygs.fit.schedule import TRACTABLE, Stage
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
 
@@ -77,7 +77,7 @@ def test_what_is_gross_on_the_screening_grid_is_not_dwelt_on(monkeypatch: pytest
 
     monkeypatch.setattr(discover_module, "fit_belief", fit)
     for deciding, gross in ((0.8 * SPACING, TRACTABLE), (SPACING, np.inf)):
-        monkeypatch.setattr(discover_module, "deciding_spacing", lambda _capture, d=deciding: d)
+        monkeypatch.setattr(schedule, "deciding_spacing", lambda _capture, d=deciding: d)
         step = first_fit(experiment, belief, SPACING)
         assert step.assessment.worst > 20.0 and step.compared["a"].jacobian.shape[-1] == 0
         assert set(asked) == {gross}

@@ -122,6 +122,22 @@ def test_a_gross_misfit_is_not_fitted_to_its_last_digits() -> None:
     assert minimise(Lacking(), far, gross=2.0 * np.sqrt(whole.history[0]), **tight).history == whole.history
 
 
+def test_what_is_known_of_the_start_is_not_computed_again() -> None:
+    asked: list[Belief] = []
+
+    class Counting(Toy):
+        def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+            asked.append(belief)
+            return super().evaluate(belief, jacobian=jacobian)
+
+    far = start()
+    whole = minimise(Counting(), far)
+    count = len(asked)
+    again = minimise(Counting(), far, known=Toy().evaluate(far))
+    assert (again.history, again.reason) == (whole.history, whole.reason)
+    assert len(asked) - count == count - 1
+
+
 # ---- Jacobians of another grid ----------------------------------------------------------------
 class Coarse(Toy):
     """A swing that is a little slower, as on a coarser grid."""

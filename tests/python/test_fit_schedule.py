@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
@@ -14,7 +15,15 @@ from mphygs.fit import schedule
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import Run, load_run
-from mphygs.fit.schedule import Stage, fit_belief
+from mphygs.fit.schedule import (
+    SCREENING_ACCURACY,
+    TRACTABLE,
+    Stage,
+    deciding_spacing,
+    fit_belief,
+    plan_of,
+    screening_spacing,
+)
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
@@ -118,3 +127,15 @@ def test_a_fit_is_brought_onward_on_the_finer_grid_alone(monkeypatch: pytest.Mon
     begun = [line.split(" (")[0] for line in lines if "iteration 0" in line]
     assert begun == ["coarse", "fine", "fine", "fine"]  # two stretches, then all frames
     assert solution.belief[FREE[0]].value == pytest.approx(6e4, rel=0.02)
+
+
+def test_the_plan_of_a_screening_fit_dwells_on_nothing_gross() -> None:
+    capture = bar_capture(frames=10, fps=100.0)
+    coarse, deciding = screening_spacing(capture), deciding_spacing(capture)
+    usual = plan_of(capture, coarse, warm=False)
+    screened = plan_of(capture, coarse, warm=False, screening=True)
+    assert {stage.gross for stage in usual} == {np.inf}
+    assert {stage.gross for stage in screened} == {TRACTABLE}
+    assert [s.accuracy for s in screened] == [max(s.accuracy, SCREENING_ACCURACY) for s in usual]
+    # What is decided on is fitted as ever.
+    assert plan_of(capture, deciding, warm=True, screening=True) == plan_of(capture, deciding, warm=True)

@@ -201,7 +201,8 @@ def search(
     """
     if "contact" in belief.effects:
         return []
-    runs = _Runs(problem, observation, belief, evaluation)
+    # Planes are tried side by side, on a core each.
+    runs = _Runs(problem.twin(1), observation, belief, evaluation)
     window = slice(runs.first, runs.last)
     found = proposals(runs.before[window], observation.position[window], observation.sigma)
     if not found:

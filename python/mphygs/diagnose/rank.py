@@ -22,6 +22,7 @@ from mphygs.diagnose.trials_of import Trial, compliance_trials, hung_trials, pla
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
+from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -194,7 +195,7 @@ def rank(
         entry = _entry(name, way, score, table, family, names_of, belief, rows)
         entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
     trials = _trials(
-        experiment, belief, evaluation, problem, full_residual, full_jacobian, generator, names, report
+        experiment, belief, evaluation, problem, share, full_residual, full_jacobian, generator, names, report
     )
     entries = _with_trials(entries, trials)
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
@@ -291,6 +292,7 @@ def _trials(
     belief: Belief,
     evaluation: Evaluation,
     problem: Problem,
+    share: float,
     residual: np.ndarray,
     jacobian: np.ndarray,
     generator: np.random.Generator,
@@ -313,20 +315,25 @@ def _trials(
         groups["hold_compliance"] = compliance_trials(experiment.capture, belief)
     if names is None or "attached_mass" in names:
         groups["attached_mass"] = hung_trials(experiment.capture, belief, list(problem.ranges))
+
+    def tried(own: Experiment, trial: Trial) -> Evaluation | None:
+        try:
+            return own.window(problem.settings.spacing, share).evaluate(trial.belief, jacobian=False)
+        except SimulationError:
+            return None
+
     entries = []
     for kind, trials in groups.items():
-        changes, kept = [], []
-        for trial in trials:
-            if report:
+        if report:
+            for trial in trials:
                 report(f"trial: {trial.effect}, {trial.label}")
-            try:
-                moved = problem.evaluate(trial.belief, jacobian=False)
-            except SimulationError:
-                continue
-            changes.append(
-                evaluation.residual[: evaluation.data_rows] - moved.residual[: evaluation.data_rows]
-            )
-            kept.append(trial)
+        changes, kept = [], []
+        for trial, moved in zip(trials, side_by_side(experiment, tried, trials), strict=True):
+            if moved is not None:
+                changes.append(
+                    evaluation.residual[: evaluation.data_rows] - moved.residual[: evaluation.data_rows]
+                )
+                kept.append(trial)
         if not kept:
             continue
         matrix = np.vstack(

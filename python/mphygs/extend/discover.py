@@ -22,13 +22,13 @@ from mphygs.extend.prune import pruned
 from mphygs.extend.readmit import FAULT, readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import AT_FLOOR
-from mphygs.extend.refits import SCREENING_ACCURACY, refits_of
+from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
-from mphygs.extend.window import TRACTABLE, tractable_window
+from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import deciding_spacing, fit_belief, plan_of, screening_spacing
+from mphygs.fit.schedule import FINE, deciding_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -38,8 +38,6 @@ LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.9
-# A grid within this factor of the deciding one is no screening grid.
-FINE = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +82,7 @@ def first_fit(
     """Fit a model and compare it."""
     for name in experiment.fitted:
         experiment.predictor(name, spacing)
-    plan = plan_of(experiment.capture, spacing, warm=warm)
-    if spacing > FINE * deciding_spacing(experiment.capture):
-        # What is gross here is looked into on the first frames, from the start.
-        plan = tuple(
-            replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY), gross=TRACTABLE)
-            for stage in plan
-        )
+    plan = plan_of(experiment.capture, spacing, warm=warm, screening=True)
     solution, _ = fit_belief(
         experiment.capture,
         experiment.starting(belief),

@@ -14,12 +14,13 @@ import numpy as np
 from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.rank import rank
 from mphygs.extend.refit import AT_FLOOR, Refit
-from mphygs.extend.refits import SCREENING_ACCURACY, refits_of
+from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import among, step_of
 from mphygs.extend.step import Step, excess
 from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, told
+from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.simulate.errors import SimulationError
 
 # Iterations of the model without the effect, from where the whole model is: it need not get to its end.

@@ -242,7 +242,12 @@ def finish_refit(
     tell = told(report, f"with {entry.effect}")
     try:
         belief = release_friction(begun.belief)
-        solution = minimise(problem, belief, iterations=3, relative_tolerance=accuracy, report=tell)
+        # Begun on all frames, it is there with its Jacobian.
+        same = belief is begun.belief and begun.evaluation.data_rows == before.evaluation.data_rows
+        known = begun.evaluation if same else None
+        solution = minimise(
+            problem, belief, iterations=3, relative_tolerance=accuracy, known=known, report=tell
+        )
         if solution.evaluation.chi_square > hopeless:
             return None
         if not solution.converged:

@@ -15,6 +15,8 @@ from mphygs.extend.settle import ALIKE
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.schedule import SCREENING_ACCURACY
+from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
 
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
@@ -34,11 +36,11 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
 # near the best one even then is not begun. What sets in has no tangents.
 TELLING, BEYOND_TANGENTS = 4.0, 3.0
+# Iterations on every stretch of frames that a refit is brought onward by.
+ON_THE_WAY = {"smooth": 2, "measurement": 2, "threshold": 3}
 # An effect that leaves so many times the best one's chi^2 after an iteration is not followed; one that leaves
 # so many times as much once it was followed onward is not brought to the end.
 HOPELESS, BEHIND = 10.0, 3.0
-# What is tried on a coarse grid is not worth its last digits.
-SCREENING_ACCURACY = 1e-3
 
 
 def promising(ranking: Ranking) -> list[Entry]:
@@ -76,27 +78,28 @@ def refits_of(
     say: Callable[[str], None],
 ) -> list[Refit]:
     """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
-    begun = []
+    begun: list[tuple[float, Entry, Solution]] = []
     # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
-    for entry in promising(ranking):
+    for wave in waves(promising(ranking)):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
-        least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
-        telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
-        if telling and least > ALIKE * best:
-            continue
-        solution = start_refit(
-            experiment,
-            window[1],
-            entry,
-            spacing,
-            share=window[0],
-            iterations=FIRST_NEAR if near else FIRST,
-            hopeless=HOPELESS * best,
-            report=say,
-        )
-        if solution is not None:
-            begun.append((solution.evaluation.chi_square, entry, solution))
+        chosen = [entry for entry in wave if not _far_behind(entry, ranking, best)]
+
+        def start(own: Experiment, entry: Entry, best: float = best) -> Solution | None:
+            return start_refit(
+                own,
+                window[1],
+                entry,
+                spacing,
+                share=window[0],
+                iterations=FIRST_NEAR if near else FIRST,
+                hopeless=HOPELESS * best,
+                report=say,
+            )
+
+        for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
+            if solution is not None:
+                begun.append((solution.evaluation.chi_square, entry, solution))
     begun.sort(key=lambda item: item[0])
     if window[0] < 1.0:
         # Over a short window many effects do alike: a few iterations on all frames tell them apart.
@@ -136,6 +139,13 @@ def refits_of(
     return finished
 
 
+def _far_behind(entry: Entry, ranking: Ranking, best: float) -> bool:
+    """Whether an entry stays behind a chi^2 that is reached even if it brings many times its promise."""
+    least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
+    telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
+    return telling and least > ALIKE * best
+
+
 def followed_onward(
     experiment: Experiment, share: float, begun: Sequence[tuple[Entry, Solution]], spacing: float
 ) -> list[tuple[Entry, Solution]]:
@@ -146,20 +156,30 @@ def followed_onward(
     """
     followed = [(entry, solution, onward(share, entry.kind)) for entry, solution in begun]
     for reach in sorted({reach for _, _, plan in followed for reach in plan}):
-        problem, passing, there = experiment.window(spacing, reach), [], []
-        for entry, solution, plan in followed:
-            if reach not in plan:
-                passing.append((entry, solution, plan))
-                continue
+        passing = [item for item in followed if reach not in item[2]]
+        there: list[tuple[Entry, Solution, list[float]]] = []
+        for wave in waves([item for item in followed if reach in item[2]]):
             best = min((fit.evaluation.chi_square for _, fit, _ in there), default=np.inf)
             # Behind on the way is not behind in the end.
             hopeless = BEHIND * best if reach == 1.0 else np.inf
-            try:
-                fit = fit_what_sets_in(problem, solution.belief, hopeless=hopeless)
-            except SimulationError:
-                continue
-            if fit.evaluation.chi_square <= hopeless:
-                there.append((entry, fit, plan))
+
+            def follow(
+                own: Experiment,
+                item: tuple[Entry, Solution, list[float]],
+                reach: float = reach,
+                hopeless: float = hopeless,
+            ) -> Solution | None:
+                problem = own.window(spacing, reach)
+                try:
+                    return fit_what_sets_in(
+                        problem, item[1].belief, iterations=ON_THE_WAY[item[0].kind], hopeless=hopeless
+                    )
+                except SimulationError:
+                    return None
+
+            for (entry, _, plan), fit in zip(wave, side_by_side(experiment, follow, wave), strict=True):
+                if fit is not None and fit.evaluation.chi_square <= hopeless:
+                    there.append((entry, fit, plan))
         there.sort(key=lambda item: item[1].evaluation.chi_square)
         if reach < 1.0:
             there = [

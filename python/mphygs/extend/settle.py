@@ -11,6 +11,7 @@ from mphygs.extend.refit import Refit
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
+from mphygs.fit.side_by_side import side_by_side
 
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
 # many at most.
@@ -126,16 +127,10 @@ def among(
     experiment: Experiment, best: Step, rivals: Sequence[Step], report: Callable[[str], None] | None
 ) -> Step:
     """The better of a step and its rivals on the step's grid, with those that do alike as its ties."""
-    alike = []
-    for rival in rivals:
-        if rival.spacing != best.spacing:
-            if not best.explained:
-                continue
-            moved = _beside(experiment, rival, best, report)
-            if moved is None:
-                continue
-            rival = moved
-        alike.append(rival)
+    alike = [rival for rival in rivals if rival.spacing == best.spacing]
+    others = [rival for rival in rivals if rival.spacing != best.spacing] if best.explained else []
+    moved = side_by_side(experiment, lambda own, rival: _beside(own, rival, best, report), others)
+    alike += [rival for rival in moved if rival is not None]
     alike.sort(key=lambda step: excess(step.assessment))
     beaten = alike and not does_alike(best, alike[0])
     if beaten and not _takes_the_grids(best, alike[0]):

@@ -11,11 +11,11 @@ from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import find_scale, forget
+from mphygs.fit.schedule import TRACTABLE, find_scale, forget
 from mphygs.model.belief import Belief
 
-# Diagnosis looks at the first frames over which the misfit is between these [sigma].
-VISIBLE, TRACTABLE = 1.25, 4.0
+# Diagnosis looks at the first frames over which the misfit is between this and TRACTABLE [sigma].
+VISIBLE = 1.25
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
 SHORTER = (0.16, 0.1, 0.06)
 # What is left is the grid's own where that may be so many times as much: of thin parts it says too much.

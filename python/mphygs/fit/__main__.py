@@ -99,8 +99,8 @@ def fit(options: FitOptions, console: Console) -> Answer:
     return Answer(dict(state.answer), _text(state, capture, options.capture is None and not options.resume))
 
 
-def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
-    """The complete run of these options, and its capture."""
+def fitted(options: FitOptions, console: Console, *, screening: bool = False) -> tuple[Run, Capture]:
+    """The complete run of these options, and its capture. screening: see `plan_of`."""
     if options.plugin is not None:
         load_plugin(options.plugin)
     if options.resume and not _in_stages(options):
@@ -126,7 +126,7 @@ def fitted(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         state = fit_pictured(state, experiment, console)
     else:
         given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
-        state = fit_run(state, experiment, **given, progress=console.progress)
+        state = fit_run(state, experiment, **given, screening=screening, progress=console.progress)
     if state.stages is not None:
         console.say("what the grid and unsure boundaries leave open")
         state = with_shares(state, experiment, console.say)

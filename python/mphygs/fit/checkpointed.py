@@ -30,13 +30,14 @@ def fit_run(
     schedule: str = "fast",
     warm: bool = False,
     windows: bool = True,
+    screening: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Run:
     """Run the stages that a run has not had yet; the folder is written after each of them.
 
     optimiser: gauss-newton, adam or lbfgs, of the schedule "fast"; schedule: that, or "paper", which takes
     Adam; warm: the run's belief is near its minimum already (fast only); windows: False fits all frames
-    at once from the start, as an ablation; progress: told the share of the work
+    at once from the start, as an ablation; screening: see `plan_of`; progress: told the share of the work
     done, and a line.
     Raises SimulationError where the fit cannot start.
     """
@@ -45,7 +46,9 @@ def fit_run(
     paper = schedule == "paper"
     spacing = run.settings.spacing
     plan: Sequence[Stage | PaperStage] = (
-        paper_plan(spacing, experiment.fitted) if paper else plan_of(experiment.capture, spacing, warm=warm)
+        paper_plan(spacing, experiment.fitted)
+        if paper
+        else plan_of(experiment.capture, spacing, warm=warm, screening=screening)
     )
     if not windows:
         plan = tuple(s for s in plan if (s.length is None if isinstance(s, PaperStage) else s.share == 1.0))

@@ -107,6 +107,21 @@ class Experiment:
         capture = replace(self.capture, sequences=kept)
         return Experiment(capture, self.settings, fitted, self.observations)
 
+    def twin(self, workers: int) -> Experiment:
+        """The same experiment, for another thread: simulators of its own, bodies and measurements shared.
+
+        workers: cores that its runs share.
+        """
+        settings = replace(self.settings, workers=workers)
+        problems = {spacing: problem.twin(workers) for spacing, problem in self.problems.items()}
+        return replace(self, settings=settings, problems=problems)
+
+    def adopt(self, twin: Experiment) -> None:
+        """Keep what a twin had to build for grids that were new to it."""
+        for spacing, problem in twin.problems.items():
+            if spacing not in self.problems:
+                self.problems[spacing] = problem.twin(self.settings.workers)
+
     def _observe(self, name: str, predictor: Predictor) -> None:
         if name not in self.observations:
             self.observations[name] = observe(self.capture.sequence(name), predictor.attachment)

@@ -30,7 +30,7 @@ LENT = 1e-3
 # The fall of the cost that no step is worth taking for; the longest step of any logarithm.
 TOLERANCE, LONGEST_STEP = 0.05, 1.5
 # A gross misfit of which an iteration leaves this share is not worth another one.
-HARDLY = 0.95
+HARDLY = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,6 +257,7 @@ def minimise(
     trials: int = 10,
     lender: Problem | None = None,
     gross: float = np.inf,
+    known: Evaluation | None = None,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
     """Minimise half the sum of squares of a problem over the free parameters of a belief.
@@ -265,14 +266,15 @@ def minimise(
     promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
     longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
     lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
-    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it.
+    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; known: the
+    evaluation of the starting belief, with its Jacobian, where it is at hand.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     if lender is not None:
         belief = approached(
             problem, lender, belief, tolerance=tolerance, relative_tolerance=max(relative_tolerance, LENT)
         )
-    current = problem.evaluate(belief)
+    current = known if known is not None and lender is None else problem.evaluate(belief)
     history = [current.cost]
     damping, reason, converged = FIRST_DAMPING, "iterations used up", False
 

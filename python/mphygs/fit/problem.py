@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -74,6 +74,12 @@ class Problem:
             predictor = Predictor(self.capture, recording, self.settings, body=bodies.get(boxes))
             bodies[boxes] = predictor.body
             self.predictors[name] = predictor
+
+    def twin(self, workers: int) -> Problem:
+        """The same problem, for another thread. workers: cores that its runs share."""
+        settings = replace(self.settings, workers=workers)
+        predictors = {name: predictor.twin(workers) for name, predictor in self.predictors.items()}
+        return replace(self, settings=settings, predictors=predictors)
 
     def narrowed(self, share: float) -> Problem:
         """The same problem on the first share of every range's frames, at least eight of them."""

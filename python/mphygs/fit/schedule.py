@@ -22,6 +22,11 @@ COARSE_FACTOR = 1.5
 COARSEST = 1.7
 # Of the default spacing: where many models are tried, and where those that are left are decided between.
 SCREENING_FACTOR, DECIDING_FACTOR = 1.7, 1.28
+# What is tried on a coarse grid is not worth its last digits; above so many sigma it is not dwelt on: its
+# first frames, where it is nearly right, will say why.
+SCREENING_ACCURACY, TRACTABLE = 1e-3, 4.0
+# A grid within this factor of the deciding one is no screening grid.
+FINE = 1.1
 # A model this far from the data [sigma] is fitted no further than a few iterations.
 HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 # How far any part's stiffness may be from the common scale that was found: without a bound a model that
@@ -95,9 +100,17 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sta
     return plan if coarse > spacing else (*plan[:2], plan[3])
 
 
-def plan_of(capture: Capture, spacing: float, *, warm: bool) -> tuple[Stage, ...]:
-    """The stages of a fit of a capture at a spacing [m]."""
-    return stages(spacing, warm=warm, coarsest=COARSEST * default_spacing(capture))
+def plan_of(
+    capture: Capture, spacing: float, *, warm: bool, screening: bool = False
+) -> tuple[Stage, ...]:
+    """The stages of a fit of a capture at a spacing [m]. screening: whether it is one of many models that are
+    tried, where the grid is as coarse as that asks for."""
+    plan = stages(spacing, warm=warm, coarsest=COARSEST * default_spacing(capture))
+    if not screening or spacing <= FINE * deciding_spacing(capture):
+        return plan
+    return tuple(
+        replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY), gross=TRACTABLE) for stage in plan
+    )
 
 
 def forget(belief: Belief) -> Belief:

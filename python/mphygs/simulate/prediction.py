@@ -72,6 +72,16 @@ class Predictor:
             self.attachment = body.attach(recording.markers.at)
         self._kept: list[tuple[Belief, int, float | None, Prediction]] = []
 
+    def twin(self, workers: int) -> Predictor:
+        """The same predictor, for another thread: of the same body, with models of its own.
+
+        workers: cores that its runs share.
+        """
+        settings = replace(self.settings, workers=workers)
+        twin = Predictor(self.capture, self.recording, settings, body=self.body)
+        twin._kept = list(self._kept)
+        return twin
+
     def forget(self) -> None:
         """Drop what earlier runs left, so that what follows does not depend on them to the last bit."""
         self.transfer.forget()

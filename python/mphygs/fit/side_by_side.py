@@ -1,0 +1,46 @@
+"""Fits that ask nothing of each other, a few at a time, each on cores of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from mphygs.fit.experiment import Experiment
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# Fits of a wave. What is decided between waves is the same whatever the number of cores.
+ABREAST = 2
+
+
+def waves(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
+    """The items in order, a wave at a time."""
+    for begin in range(0, len(items), ABREAST):
+        yield items[begin : begin + ABREAST]
+
+
+def side_by_side(
+    experiment: Experiment, work: Callable[[Experiment, Item], Result], items: Sequence[Item]
+) -> list[Result]:
+    """work(experiment, item) of every item, in order; the same to the bit whatever the cores.
+
+    Where there are cores for it each item has the simulators of a twin of the experiment. What work raises is
+    raised here, the first item's first.
+    """
+    if len(items) < 2 or experiment.settings.workers < 2:
+        return [work(experiment, item) for item in items]
+    abreast = min(ABREAST, len(items), experiment.settings.workers)
+    cores = experiment.settings.workers // abreast
+    # Made here, one after the other: what they are made from is not shared between threads.
+    twins = [experiment.twin(cores) for _ in range(abreast)]
+    with ThreadPoolExecutor(abreast) as pool:
+        streams = [
+            pool.submit(lambda twin, own: [work(twin, item) for item in own], twin, items[k::abreast])
+            for k, twin in enumerate(twins)
+        ]
+        done = [stream.result() for stream in streams]
+    for twin in twins:
+        experiment.adopt(twin)
+    return [done[i % abreast][i // abreast] for i in range(len(items))]
