@@ -648,7 +648,7 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
 
 # ---- which effects are kept -------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("left", "adequate", "kept"), [(0.85, False, True), (0.95, False, False), (0.95, True, True)]
+    ("left", "adequate", "kept"), [(0.75, False, True), (0.85, False, False), (0.85, True, True)]
 )
 def test_what_explains_too_little_is_not_kept(
     left: float, adequate: bool, kept: bool, monkeypatch: pytest.MonkeyPatch

@@ -37,7 +37,7 @@ from mphygs.simulate.errors import SimulationError
 LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
-TOO_LITTLE = 0.9
+TOO_LITTLE = 0.8
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "mphygs/checkpoint.hpp"
-#include "mphygs/transfers/total_lagrangian_forces_reverse.hpp"
+#include "mphygs/transfers/total_lagrangian_hook_reverse.hpp"
 
 namespace mphygs {
 

@@ -6,7 +6,7 @@
 
 #include "mphygs/constraint.hpp"
 #include "mphygs/team.hpp"
-#include "mphygs/transfers/total_lagrangian_forces.hpp"
+#include "mphygs/transfers/total_lagrangian_pairs.hpp"
 
 namespace mphygs {
 
@@ -217,80 +217,9 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     }
 
     /// What the hook is shown: all quadrature points in the caller's order.
-    PointState<T> hook_state(double time, double dt) const {
-        const std::size_t points = 8 * model_.rows_.size();
-        PointState<T> s;
-        s.time = time;
-        s.first_direction = inputs_.first_direction;
-        for (int k = 0; k < K; ++k) {
-            s.lanes += inputs_.direction[k] ? 1 : 0;
-        }
-        const std::size_t shown = static_cast<std::size_t>(s.lanes);
-        s.position.resize(shown * points * 3);
-        s.velocity.resize(shown * points * 3);
-        s.deformation.resize(shown * points * 9);
-        for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
-            const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
-            const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
-            const std::size_t from = 8 * static_cast<std::size_t>(model_.order_[b]);
-            VolumePoint<S> p;
-            load_point(b, p, time, dt);
-            for (std::size_t l = 0; l < shown; ++l) {
-                const int lane = static_cast<int>(l);
-                const Vec3<Pack<T>> u = gather_value<T>(u_.data() + at(lane, 0, 0), stride_, rows, table);
-                const Vec3<Pack<T>> v = gather_value<T>(v_.data() + at(lane, 0, 0), stride_, rows, table);
-                const Mat3<Pack<T>> f = get_lane<Pack<T>>(p.deformation, lane);
-                for (int q = 0; q < 8; ++q) {
-                    const std::size_t i = l * points + from + static_cast<std::size_t>(q);
-                    for (int c = 0; c < 3; ++c) {
-                        const std::size_t to = 3 * i + static_cast<std::size_t>(c);
-                        s.position[to] = u[c][q];
-                        s.velocity[to] = v[c][q];
-                        if (l == 0) {
-                            s.position[to] += static_cast<T>(model_.geometry_.points[to]);
-                        }
-                        for (int j = 0; j < 3; ++j) {
-                            s.deformation[3 * to + static_cast<std::size_t>(j)] = f[c][j][q];
-                        }
-                    }
-                }
-            }
-        }
-        return s;
-    }
+    PointState<T> hook_state(double time, double dt) const;
 
-    void hook_forces(double time, double dt) {
-        if (!inputs_.hook) {
-            return;
-        }
-        const PointState<T> state = hook_state(time, dt);
-        const PointForces<T> given = inputs_.hook->forward(state);
-        const std::size_t points = 8 * model_.rows_.size();
-        for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
-            const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
-            const std::size_t table = static_cast<std::size_t>(model_.table_[b]);
-            const std::size_t from = 8 * static_cast<std::size_t>(model_.order_[b]);
-            Mat3<S> stress;
-            for (int l = 0; l < state.lanes; ++l) {
-                const std::size_t first = static_cast<std::size_t>(l) * points + from;
-                if (!given.force.empty()) {
-                    scatter_value<T>(point_vectors(&given.force[3 * first]), f_.data() + at(l, 0, 0), stride_, rows, model_.values_[table]);
-                }
-                if (!given.stress.empty()) {
-                    set_lane(stress, l, point_matrices(&given.stress[9 * first]));
-                }
-            }
-            if (!given.stress.empty()) {
-                if (prestressed_) {
-                    stress = stress * transpose(f0_[b]);
-                }
-                stress = (-volume_[b]) * stress;
-                for (int l = 0; l < state.lanes; ++l) {
-                    scatter_gradient<T>(get_lane<Pack<T>>(stress, l), f_.data() + at(l, 0, 0), stride_, rows, model_.gradients_[table]);
-                }
-            }
-        }
-    }
+    void hook_forces(double time, double dt);
 
     /// Eight points' (3,) vectors or (3, 3) matrices, one after the other in memory.
     static Vec3<Pack<T>> point_vectors(const T* from) {
@@ -408,78 +337,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
 
     /// The hold of some lanes, the values' before those of the derivatives.
     template <int First, int Count>
-    void hold_lanes(int n, double dt) {
-        constexpr int N = Count == 1 ? 4 : 3 * Count;  // columns: lane, component; a whole pack of them
-        const Constraint& constraint = constraint_[0];
-        const Geometry& g = model_.geometry_;
-        const std::size_t rows = constraint.row_count(), nodes = constraint.nodes().size();
-        const double softness = static_cast<double>(lane_of(compliance_, 0)) / (dt * dt), rate = 1.0 / dt;
-        held_.assign(nodes * N, 0.0);
-        missed_.assign(rows * N, 0.0);
-        impulse_.assign(rows * N, 0.0);
-        for (int l = First; l < First + Count; ++l) {
-            for (std::size_t c = 0; c < 3; ++c) {
-                const std::size_t column = static_cast<std::size_t>(l - First) * 3 + c;
-                T* v = v_.data() + at(l, c, 0);
-                const T* u = u_.data() + at(l, c, 0);
-                const T* slope = &inverse_mass_[static_cast<std::size_t>(l) * stride_];
-                for (std::size_t k = 0; k < nodes; ++k) {
-                    const std::size_t node = static_cast<std::size_t>(constraint.nodes()[k]);
-                    if constexpr (First > 0) {
-                        v[node] -= slope[node] * static_cast<T>(pull_[4 * k + c]);  // - d(M^-1) C^T lambda
-                    }
-                    held_[k * N + column] = static_cast<double>(v[node]) + static_cast<double>(u[node]) * rate;
-                }
-            }
-        }
-        constraint.template apply<N>(held_.data(), missed_.data());
-        std::vector<double> sums(static_cast<std::size_t>(g.hold_count));
-        for (int l = First; l < First + Count; ++l) {
-            for (std::size_t c = 0; c < 3; ++c) {
-                const std::size_t column = static_cast<std::size_t>(l - First) * 3 + c;
-                const double softer = l > 0 ? static_cast<double>(lane_of(compliance_, l)) / (dt * dt) : 0.0;
-                if (softer != 0.0) {
-                    constraint.sum_per_hold(&lambda_rows_[c * rows], sums.data());
-                }
-                for (std::size_t r = 0; r < rows; ++r) {
-                    if (g.row_hold[r] < 0) {
-                        continue;  // a tie: both sides move alike
-                    }
-                    const std::size_t h = static_cast<std::size_t>(g.row_hold[r]);
-                    double target = pose(l, h, n + 1, 9 + c);
-                    for (std::size_t k = 0; k < 3; ++k) {
-                        target += pose(l, h, n + 1, 3 * c + k) * g.row_target[3 * r + k];
-                    }
-                    if (l == 0) {
-                        target -= g.row_target[3 * r + c];
-                    }
-                    missed_[r * N + column] -= target / dt;
-                    if (softer != 0.0) {
-                        missed_[r * N + column] -= softer * sums[h];
-                    }
-                }
-            }
-        }
-        constraint.template solve<N>(missed_.data(), softness, impulse_.data());
-        constraint.template transposed<N>(impulse_.data(), held_.data());
-        for (int l = First; l < First + Count; ++l) {
-            for (std::size_t c = 0; c < 3; ++c) {
-                const std::size_t column = static_cast<std::size_t>(l - First) * 3 + c;
-                T* v = v_.data() + at(l, c, 0);
-                for (std::size_t k = 0; k < nodes; ++k) {
-                    const std::size_t node = static_cast<std::size_t>(constraint.nodes()[k]);
-                    v[node] -= inverse_mass_[node] * static_cast<T>(held_[k * N + column]);
-                }
-                double* lambda = &lambda_rows_[(static_cast<std::size_t>(l) * 3 + c) * rows];
-                for (std::size_t r = 0; r < rows; ++r) {
-                    lambda[r] = impulse_[r * N + column];
-                }
-            }
-        }
-        if constexpr (First == 0 && lanes > 1) {
-            pull_ = held_;
-        }
-    }
+    void hold_lanes(int n, double dt);
 
     const Schedule& schedule_;
     Team* team_;
