@@ -66,6 +66,25 @@ def test_what_work_raises_is_raised() -> None:
         side_by_side(experiment(2), work, [7, 8])
 
 
+def test_an_interrupt_waits_for_no_more_than_the_runs_under_way() -> None:
+    begun, told, ran = threading.Event(), threading.Event(), []
+
+    def work(own: Experiment, item: int) -> None:
+        if item == 0:
+            begun.wait(20.0)
+            raise KeyboardInterrupt
+        problem, belief = own.problem(SPACING), recording()[1]
+        problem.evaluate(belief, jacobian=False)
+        begun.set()
+        told.wait(2.0)  # by then it was raised
+        problem.evaluate(belief.with_parameter(FREE[0], value=5e4), jacobian=False)
+        ran.append(item)
+
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side(experiment(2), work, [0, 1])
+    assert ran == []
+
+
 def test_a_twin_shares_what_is_not_written_to() -> None:
     made = experiment(2)
     twin = made.twin(1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from threading import Event
 
 import numpy as np
 
@@ -107,13 +108,13 @@ class Experiment:
         capture = replace(self.capture, sequences=kept)
         return Experiment(capture, self.settings, fitted, self.observations)
 
-    def twin(self, workers: int) -> Experiment:
+    def twin(self, workers: int, halt: Event | None = None) -> Experiment:
         """The same experiment, for another thread: simulators of its own, bodies and measurements shared.
 
-        workers: cores that its runs share.
+        workers, halt: see `Predictor.twin`; grids that it has to build itself know of no halt.
         """
         settings = replace(self.settings, workers=workers)
-        problems = {spacing: problem.twin(workers) for spacing, problem in self.problems.items()}
+        problems = {spacing: problem.twin(workers, halt) for spacing, problem in self.problems.items()}
         return replace(self, settings=settings, problems=problems)
 
     def adopt(self, twin: Experiment) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from threading import Event
 
 import numpy as np
 
@@ -75,10 +76,10 @@ class Problem:
             bodies[boxes] = predictor.body
             self.predictors[name] = predictor
 
-    def twin(self, workers: int) -> Problem:
-        """The same problem, for another thread. workers: cores that its runs share."""
+    def twin(self, workers: int, halt: Event | None = None) -> Problem:
+        """The same problem, for another thread. workers, halt: see `Predictor.twin`."""
         settings = replace(self.settings, workers=workers)
-        predictors = {name: predictor.twin(workers) for name, predictor in self.predictors.items()}
+        predictors = {name: predictor.twin(workers, halt) for name, predictor in self.predictors.items()}
         return replace(self, settings=settings, predictors=predictors)
 
     def narrowed(self, share: float) -> Problem:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 from typing import TypeVar
 
 from mphygs.fit.experiment import Experiment
@@ -34,13 +35,18 @@ def side_by_side(
     abreast = min(ABREAST, len(items), experiment.settings.workers)
     cores = experiment.settings.workers // abreast
     # Made here, one after the other: what they are made from is not shared between threads.
-    twins = [experiment.twin(cores) for _ in range(abreast)]
+    halt = Event()
+    twins = [experiment.twin(cores, halt) for _ in range(abreast)]
     with ThreadPoolExecutor(abreast) as pool:
         streams = [
             pool.submit(lambda twin, own: [work(twin, item) for item in own], twin, items[k::abreast])
             for k, twin in enumerate(twins)
         ]
-        done = [stream.result() for stream in streams]
+        try:
+            done = [stream.result() for stream in streams]
+        except BaseException:
+            halt.set()  # an interrupt, too, does not wait for more than the runs under way
+            raise
     for twin in twins:
         experiment.adopt(twin)
     return [done[i % abreast][i // abreast] for i in range(len(items))]

@@ -12,3 +12,7 @@ class SimulationError(RuntimeError):
         super().__init__(message)
         self.frame = frame
         self.part = part
+
+
+class Halted(Exception):
+    """A run that was not begun: whoever asked for it has stopped waiting."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from threading import Event
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from mphygs.model.registry import core_parameter_offsets, effect
 from mphygs.simulate.batches import Batch, Owned, batches_of
 from mphygs.simulate.body import Body, discretise, hold_boxes
 from mphygs.simulate.carried import Carriers
+from mphygs.simulate.errors import Halted
 from mphygs.simulate.fields import core_effects, direction, places, primal
 from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.measurement import measured
@@ -71,15 +73,16 @@ class Predictor:
         if recording.markers is not None:
             self.attachment = body.attach(recording.markers.at)
         self._kept: list[tuple[Belief, int, float | None, Prediction]] = []
+        self._halt: Event | None = None
 
-    def twin(self, workers: int) -> Predictor:
+    def twin(self, workers: int, halt: Event | None = None) -> Predictor:
         """The same predictor, for another thread: of the same body, with models of its own.
 
-        workers: cores that its runs share.
+        workers: cores that its runs share; halt: set once no more of them are wanted.
         """
         settings = replace(self.settings, workers=workers)
         twin = Predictor(self.capture, self.recording, settings, body=self.body)
-        twin._kept = list(self._kept)
+        twin._kept, twin._halt = list(self._kept), halt
         return twin
 
     def forget(self) -> None:
@@ -245,8 +248,10 @@ class Predictor:
         this one plus an effect at its null, to differentiate by as well (they share the same motion);
         start: a state in mid-motion, whose frame is then the first.
         Raises SimulationError where the run is unstable, ValueError for an effect that the transfer cannot
-        have.
+        have, Halted where a twin is told to.
         """
+        if self._halt is not None and self._halt.is_set():
+            raise Halted(self.recording.name)
         last = self.recording.frames if last is None else last
         whole = start is None and not candidates
         known = self._known(belief, last, substep, tuple(keys)) if whole else None
