@@ -20,12 +20,15 @@ from mphygs.diagnose.contact_search import (
     proposals,
     release_friction,
     search,
+    search_softer,
     sphere,
     with_wall,
 )
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
+from mphygs.fit.schedule import find_scale, forget
 from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.prestress import RestShape
 
@@ -260,6 +263,50 @@ def test_walls_that_do_not_help_are_not_moved(monkeypatch: pytest.MonkeyPatch) -
     planes = search(problem, observation, belief, evaluation)
     assert len(planes) == 1
     assert planes[0].chi_square > contact_search.HELPS * evaluation.chi_square
+
+
+@cache
+def held_up(rest: str = "stress-free") -> Case:
+    """The bar that meets a wall soon, and the model that was fitted too stiff to reach it."""
+    capture, belief = falling_bar(rest)
+    near = Plane(WALL.normal, WALL.offset + 0.004)
+    recorded = seen(capture, with_wall(belief, near))
+    stiff = belief.with_parameter("part0.youngs_modulus", value=1.5e5)
+    return case_of(recorded, stiff)
+
+
+@pytest.mark.parametrize("rest", ["stress-free", "equilibrium"])
+def test_a_softer_object_meets_the_wall_that_the_fitted_one_is_too_stiff_to_reach(rest: str) -> None:
+    problem, observation, belief, evaluation = held_up(rest)
+    softly = problem.narrowed(0.6)
+    evaluation = softly.evaluate(belief, jacobian=False)
+    assert evaluation.misfit > contact_search.OFF
+    said: list[str] = []
+    found = search_softer(softly, observation, belief, evaluation, report=said.append)
+    assert 1 <= len(found) <= contact_search.MOVED and len(said) == 1
+    soft, plane = found[0]
+    best = find_scale(softly, forget(belief))["part0.youngs_modulus"].value
+    shares = soft["part0.youngs_modulus"].value / best
+    assert min(abs(shares - share) for share in contact_search.SOFTER) < 1e-9
+    assert plane.chi_square < contact_search.HELPS * evaluation.chi_square
+    walled = softly.evaluate(with_wall(soft, plane), jacobian=False)
+    assert walled.chi_square == pytest.approx(plane.chi_square, rel=0.3)
+    # The same whoever runs them.
+    again = search_softer(softly, observation, belief, evaluation, workers=2)
+    assert [(*p.normal, p.offset) for _, p in again] == [(*p.normal, p.offset) for _, p in found]
+
+
+def test_softer_parts_are_no_wall_where_the_model_is_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture, belief = falling_bar()
+    problem, observation, belief, evaluation = case_of(seen(capture, belief, SPACING), belief)
+    assert search_softer(problem, observation, belief, evaluation) == []
+
+    # Nor where no softer object can be simulated.
+    def fails(*_: object, **__: object) -> None:
+        raise SimulationError("unstable")
+
+    monkeypatch.setattr(contact_search, "find_scale", fails)
+    assert search_softer(problem, observation, belief, evaluation) == []
 
 
 def test_friction_is_held_until_the_wall_stands() -> None:

@@ -17,6 +17,8 @@ from mphygs.diagnose.rank import Entry, rank
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
+from mphygs.fit.problem import Problem
+from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
 
 MASS = 6e-3  # [kg], of a bar of 26 g
@@ -112,6 +114,44 @@ def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.
     assert sorted(start["contact.d"].value for start in starts) == [-0.2, -0.014, -0.012]
     (sizes,) = ranked("plasticity").entries
     assert sizes.others == ()
+
+
+@pytest.mark.parametrize(
+    ("share", "sigma", "known", "asked"),
+    [
+        (0.25, 1.3, (), True),
+        (0.4, 1.3, (), False),
+        (0.25, 1.2, (), False),
+        (0.25, 1.3, ("viscosity",), False),
+    ],
+)
+def test_walls_that_only_a_softer_object_meets_are_asked_for_early_on(
+    share: float, sigma: float, known: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A first model that is off on its first frames already, and passes no plane that helps."""
+    experiment, fitted = scene()
+    belief = fitted.belief
+    for name in known:
+        belief = belief.with_effect(name)
+    soft = belief.with_parameter(FREE[0], value=0.4 * belief[FREE[0]].value)
+    calls: list[float] = []
+
+    def softly(problem: Problem, *_: object, **__: object) -> list[tuple[Belief, Plane]]:
+        calls.append(problem.ranges["a"][1])
+        return [(soft, Plane(np.array([0.0, 0.0, 1.0]), -0.012))]
+
+    monkeypatch.setattr(ranking, "search", lambda *_a, **_k: [])
+    monkeypatch.setattr(ranking, "search_softer", softly)
+    evaluation = experiment.window(SPACING, share).evaluate(belief)
+    scaled = evaluation.residual * sigma / evaluation.misfit
+    evaluation = replace(evaluation, residual=scaled)
+    found = rank(
+        experiment, belief, evaluation, SPACING,
+        share=share, generator=np.random.default_rng(0), names=("contact",),
+    )  # fmt: skip
+    assert len(calls) == asked and len(found.entries) == asked
+    if asked:
+        assert found.entries[0].start[FREE[0]].value == soft[FREE[0]].value
 
 
 def test_smooth_effects_that_the_motion_cannot_test_are_said_to_be_so() -> None:

@@ -138,6 +138,27 @@ def test_what_is_known_of_the_start_is_not_computed_again() -> None:
     assert len(asked) - count == count - 1
 
 
+def test_what_is_hopeless_is_not_differentiated_again() -> None:
+    asked: list[bool] = []
+
+    class Counting(Lacking):
+        def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+            asked.append(jacobian)
+            return super().evaluate(belief, jacobian=jacobian)
+
+    far = start()
+    left = minimise(Lacking(), far).evaluation.chi_square
+    first = minimise(Lacking(), far, iterations=1)
+    asked.clear()
+    ended = minimise(Counting(), far, hopeless=0.9 * left)
+    assert asked.count(True) == 1 and not ended.converged and "hopeless" in ended.reason
+    assert np.array_equal(ended.evaluation.residual, first.evaluation.residual)
+    assert ended.history == first.history
+    # Only what is beyond the bound ends so.
+    on = minimise(Lacking(), far, hopeless=10.0 * first.evaluation.chi_square)
+    assert on.evaluation.chi_square < 1.01 * left
+
+
 # ---- Jacobians of another grid ----------------------------------------------------------------
 class Coarse(Toy):
     """A swing that is a little slower, as on a coarser grid."""

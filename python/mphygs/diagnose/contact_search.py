@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 
 from mphygs.compare.noise import Observation
 from mphygs.fit.problem import Evaluation, Problem
+from mphygs.fit.schedule import find_scale, forget
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import MLS
@@ -29,6 +30,9 @@ FRICTION, USUAL_FRICTION = 0.2, 0.3
 TILT, DEPTH = 0.2, 0.3
 # The misfit begins where a frame is this many sigma off; runs begin so many frames before.
 BEGINS, BEFORE = 2.0, 3
+# A model off by so many sigma within so much of the frames may be too stiff to reach a wall; shares of its
+# stiffness with which it would.
+OFF, EARLY, SOFTER = 1.25, 0.25, (0.6, 0.4, 0.25)
 # Effects whose state is more than place and velocity.
 WITH_MEMORY = ("relaxation", "plasticity")
 
@@ -147,6 +151,12 @@ class _Runs:
             # A wall leaves the rest shape alone: solved for once, here, as threads may not share a solver.
             self.predictor.rest_shape.solve(belief)
 
+    def proposals(self) -> list[_Proposal]:
+        """Planes that this motion passes and the measured one does not."""
+        window = slice(self.first, self.last)
+        measured = self.observation.position[window]
+        return proposals(self.before[window], measured, self.observation.sigma)
+
     def _start(self, frame: int) -> Start | None:
         """The state of the model without a wall at a frame; None where runs begin at rest."""
         memory = any(name in self.belief.effects for name in WITH_MEMORY)
@@ -186,6 +196,19 @@ def _moved(proposal: _Proposal, at: np.ndarray) -> Plane:
     return Plane(tilted, float(tilted @ proposal.pivot + push + DEPTH * proposal.depth * at[2]))
 
 
+def _better_place(runs: _Runs, proposal: _Proposal) -> Plane:
+    """The plane of a proposal moved to where the motion after is right, by the simplex of Nelder and Mead."""
+    simplex = np.vstack([np.zeros(3), np.eye(3)])
+    result = minimize(
+        lambda at: runs.chi_square(_moved(proposal, at)),
+        np.zeros(3),
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": RUNS, "xatol": 1e-2, "fatol": 1.0},
+    )
+    plane = _moved(proposal, result.x)
+    return Plane(plane.normal, plane.offset, float(result.fun))
+
+
 def search(
     problem: Problem,
     observation: Observation,
@@ -203,22 +226,9 @@ def search(
         return []
     # Planes are tried side by side, on a core each.
     runs = _Runs(problem.twin(1), observation, belief, evaluation)
-    window = slice(runs.first, runs.last)
-    found = proposals(runs.before[window], observation.position[window], observation.sigma)
+    found = runs.proposals()
     if not found:
         return []
-
-    def moved(proposal: _Proposal) -> Plane:
-        simplex = np.vstack([np.zeros(3), np.eye(3)])
-        result = minimize(
-            lambda at: runs.chi_square(_moved(proposal, at)),
-            np.zeros(3),
-            method="Nelder-Mead",
-            options={"initial_simplex": simplex, "maxfev": RUNS, "xatol": 1e-2, "fatol": 1.0},
-        )
-        plane = _moved(proposal, result.x)
-        return Plane(plane.normal, plane.offset, float(result.fun))
-
     with ThreadPoolExecutor(workers) as pool:
         tried = list(pool.map(lambda p: runs.chi_square(p.plane), found))
         order = np.argsort(tried)[:MOVED]
@@ -228,9 +238,64 @@ def search(
         if best > HELPS * alone:
             plane = found[order[0]].plane
             return [Plane(plane.normal, plane.offset, best)] if np.isfinite(best) else []
-        planes = list(pool.map(moved, [found[k] for k in order if np.isfinite(tried[k])]))
+        chosen = [found[k] for k in order if np.isfinite(tried[k])]
+        planes = list(pool.map(lambda p: _better_place(runs, p), chosen))
     planes.sort(key=lambda plane: plane.chi_square)
     if report:
         for plane in planes:
             report(f"{plane.label}: chi^2 {plane.chi_square:.0f}")
     return planes
+
+
+def softer(problem: Problem, belief: Belief) -> list[tuple[Belief, Evaluation]]:
+    """Beliefs with all parts of one material, softer than fits the first frames best, and their evaluations;
+    those that cannot be simulated left out. Raises SimulationError where none at all can be."""
+    alike, found = find_scale(problem, forget(belief)), []
+    for share in SOFTER:
+        soft = alike
+        for p in alike.free:
+            if p.key.endswith(".youngs_modulus"):
+                soft = soft.with_parameter(p.key, value=max(share * p.value, p.lower))
+        try:
+            found.append((soft, problem.evaluate(soft, jacobian=False)))
+        except SimulationError:
+            continue
+    return found
+
+
+def search_softer(
+    problem: Problem,
+    observation: Observation,
+    belief: Belief,
+    evaluation: Evaluation,
+    *,
+    workers: int = 1,
+    report: Callable[[str], None] | None = None,
+) -> list[tuple[Belief, Plane]]:
+    """Planes that a softer object would have met from its first frames on, each with its belief, the best
+    first.
+
+    What a wall stops from the beginning is fitted as too stiff to reach it, and passes no plane. Arguments as
+    those of `search`; none where a wall explains too little beyond the belief as it was fitted.
+    """
+    try:
+        models = softer(problem, belief)
+    except SimulationError:
+        return []
+    # A rest shape belongs to one belief: each has simulators of its own.
+    ways = [_Runs(problem.twin(1), observation, *model) for model in models]
+    tried = [(runs, proposal) for runs in ways for proposal in runs.proposals()]
+    if not tried:
+        return []
+    name = next(iter(problem.ranges))
+    fitted = evaluation.residual[evaluation.rows[name]]
+    with ThreadPoolExecutor(workers) as pool:
+        left = list(pool.map(lambda item: item[0].chi_square(item[1].plane), tried))
+        chosen = [tried[k] for k in np.argsort(left)[:MOVED] if np.isfinite(left[k])]
+        planes = list(pool.map(lambda item: _better_place(*item), chosen))
+    pairs = [(runs.belief, plane) for (runs, _), plane in zip(chosen, planes, strict=True)]
+    pairs = sorted(pairs, key=lambda pair: pair[1].chi_square)
+    if report:
+        best = pairs[0][1].chi_square
+        report(f"{len(tried)} planes tried with softer parts: chi^2 {best:.0f} of {fitted @ fitted:.0f}")
+    return [pair for pair in pairs if pair[1].chi_square < HELPS * float(fitted @ fitted)]

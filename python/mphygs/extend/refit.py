@@ -103,8 +103,8 @@ def _scaled(entry: Entry, start: Belief, belief: Belief, strength: float) -> Bel
                 continue
             value = float(np.clip(parameter.value * strength, parameter.lower, parameter.upper))
             out = out.with_parameter(parameter.key, value=value)
-    # What was fitted so far stays where the fit left it.
-    fitted = {p.key: p.value for p in belief.parameters}
+    # What was fitted stays where the fit left it; a wall may stand where only a softer object meets it.
+    fitted = {} if entry.kind == "threshold" else {p.key: p.value for p in belief.parameters}
     parameters = []
     for p in out.parameters:
         if p.key in fitted:

@@ -56,11 +56,19 @@ def fit_what_sets_in(
 ) -> Solution:
     """A fit that finds first what sets in (see `placed`) and then all.
 
-    hopeless: chi^2 above which it ends after the first iteration. Raises SimulationError.
+    hopeless: chi^2 above which it ends after the first iteration (see `minimise`). Raises SimulationError.
     """
     belief = placed(problem, belief, lender=lender, report=report)
     first = 1 if math.isfinite(hopeless) else iterations
-    found = minimise(problem, belief, iterations=first, relative_tolerance=1e-3, lender=lender, report=report)
+    found = minimise(
+        problem,
+        belief,
+        iterations=first,
+        relative_tolerance=1e-3,
+        lender=lender,
+        hopeless=hopeless,
+        report=report,
+    )
     if first == iterations or found.converged or found.evaluation.chi_square > hopeless:
         return found
     return minimise(

@@ -35,7 +35,8 @@ HARDLY = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """belief: at the minimum; evaluation: there, with Jacobian; history: cost after every iteration."""
+    """belief: at the minimum; evaluation: there, with Jacobian where it is not hopeless; history: cost after
+    every iteration."""
 
     belief: Belief
     evaluation: Evaluation
@@ -102,8 +103,9 @@ def _follow_secants(
     damping: float,
     worth: Callable[[Evaluation], float],
     longest_step: float,
-) -> Belief:
-    """The belief after a few more steps that need no new Jacobian, as long as they hold what they promise."""
+) -> tuple[Belief, Evaluation]:
+    """The belief after a few more steps that need no new Jacobian, as long as they hold what they promise;
+    its evaluation, without Jacobian."""
     logs = np.array([p.log for p in belief.free])
     substep = problem.stable_substep(belief)
     for _ in range(SECANTS):
@@ -128,7 +130,7 @@ def _follow_secants(
         belief, reached = ahead, trial
         if ratio < TRUSTED:
             break
-    return belief
+    return belief, reached
 
 
 def led_by_secants(problem: Problem, belief: Belief, evaluation: Evaluation) -> Belief:
@@ -141,7 +143,7 @@ def led_by_secants(problem: Problem, belief: Belief, evaluation: Evaluation) -> 
         return _worth(reached, TOLERANCE, LENT)
 
     jacobian = evaluation.jacobian
-    return _follow_secants(problem, belief, evaluation, jacobian, FIRST_DAMPING, worth, LONGEST_STEP)
+    return _follow_secants(problem, belief, evaluation, jacobian, FIRST_DAMPING, worth, LONGEST_STEP)[0]
 
 
 class _Borrowing:
@@ -257,6 +259,7 @@ def minimise(
     trials: int = 10,
     lender: Problem | None = None,
     gross: float = np.inf,
+    hopeless: float = np.inf,
     known: Evaluation | None = None,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
@@ -266,8 +269,9 @@ def minimise(
     promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
     longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
     lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
-    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; known: the
-    evaluation of the starting belief, with its Jacobian, where it is at hand.
+    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; hopeless: chi^2
+    above which it ends after the first iteration, without the Jacobian there; known: the evaluation of the
+    starting belief, with its Jacobian, where it is at hand.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     if lender is not None:
@@ -324,10 +328,13 @@ def minimise(
             reason = "no step lowers the cost"
             converged = True
             break
-        belief = trial_belief
+        belief, reached = trial_belief, trial
         if ratio > TRUSTED:
             after = _secant(current.jacobian, current.residual, trial.residual, step, diagonal)
-            belief = _follow_secants(problem, belief, trial, after, damping, worth, longest_step)
+            belief, reached = _follow_secants(problem, belief, trial, after, damping, worth, longest_step)
+        if iteration == 1 and reached.chi_square > hopeless:
+            history.append(reached.cost)
+            return Solution(belief, reached, tuple(history), False, "hopeless after an iteration")
         before, current = current, problem.evaluate(belief)
         history.append(current.cost)
         if report:
