@@ -25,8 +25,9 @@ from mphygs.simulate.errors import SimulationError
 # Features whose tangents are computed exactly, the best by the natural modes; and so many the next times.
 FINALISTS, KEPT = 16, 8
 BLOCK_FRAMES = 5
-# Times that the formula is put in place of the force, and steps of its refit.
-ROUNDS, STEPS = 2, 4
+# Times that the formula is put in place of the force, steps of its refit, and the share of the cost that a
+# step has to bring for another one.
+ROUNDS, STEPS, WORTH = 2, 4, 3e-3
 LARGEST_STEP = 0.7
 
 
@@ -150,10 +151,13 @@ def _refitted(
                 damping *= 10.0
                 continue
             if cost(trial) < cost(now):
-                now, numbers, damping = trial, numbers + step[:count], 0.1 * damping
                 break
             damping *= 10.0
         else:
+            return now
+        fell = cost(now) - cost(trial)
+        now, numbers, damping = trial, numbers + step[:count], 0.1 * damping
+        if fell < WORTH * cost(now):
             break
     return now
 

@@ -18,7 +18,8 @@ from mphygs.simulate.errors import SimulationError
 
 # A grid so many times as fine costs three times as much; its tangents are never asked for.
 FINER = 1.3
-ITERATIONS, ACCURACY = 4, 3e-4
+# Rivals are fitted less closely: whoever could lead is fitted there as well.
+ITERATIONS, ACCURACY, RIVALS_ACCURACY = 4, 3e-4, 1e-3
 # A grid so many times as coarse is many times as cheap.
 LENDS = 1.3
 
@@ -125,7 +126,7 @@ def carried_over(
             problem,
             rival.belief,
             iterations=ITERATIONS,
-            relative_tolerance=ACCURACY,
+            relative_tolerance=RIVALS_ACCURACY,
             lender=lender_of(experiment, lender),
             report=told(report, f"{1e3 * lender:.3g} mm"),
         )

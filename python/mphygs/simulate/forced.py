@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -125,8 +127,7 @@ class ForcedSequence:
         slots = [k for k, (_, p) in enumerate(wanted) if acts_in_simulation(p)]
         slots += range(len(keys), len(keys) + len(forces))
         if directions:
-            model = self.model(belief)
-            _, *found = model.tangent(motion.fields, directions, timeline.schedule, None, hook)
+            found = self._side_by_side(motion, directions, hook)
             for slot, one in zip(slots, found, strict=True):
                 out[..., slot] = predictor.carriers.observe_tangent(value, one, timeline)
         times = timeline.frames / predictor.recording.fps
@@ -136,6 +137,26 @@ class ForcedSequence:
             if key == self._release_key:
                 out[..., slot] = self._release_slope(motion)
         return np.roll(out, len(forces), axis=-1)
+
+    def _side_by_side(
+        self, motion: ForcedMotion, directions: Sequence[dict], hook: object | None
+    ) -> list[tuple[np.ndarray, ...]]:
+        """The states' tangents, in runs of as many directions as the core carries, alike in size; as many
+        runs at once as there are workers for. Effects in Python look directions up by place: in one run."""
+        schedule, workers = motion.timeline.schedule, self.predictor.workers
+        model = self.model(motion.belief)
+        count = -(-len(directions) // self.predictor.transfer.batch)
+        if hook is not None or count < 2:
+            return model.tangent(motion.fields, list(directions), schedule, None, hook)[1:]
+        self.predictor.transfer.share(model, max(1, workers // count))
+        ends = [len(directions) * i // count for i in range(count + 1)]
+        parts = [directions[begin:end] for begin, end in pairwise(ends)]
+
+        def run(part: Sequence[dict]) -> list[tuple[np.ndarray, ...]]:
+            return model.tangent(motion.fields, list(part), schedule, None, None)[1:]
+
+        with ThreadPoolExecutor(min(workers, count)) as pool:
+            return [one for found in pool.map(run, parts) for one in found]
 
     def _release_slope(self, motion: ForcedMotion) -> np.ndarray:
         """By a difference: the release moves the start, which the core does not differentiate."""
