@@ -15,6 +15,7 @@ from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.autoregression import Autoregression
 from mphygs.diagnose import grid_error
+from mphygs.diagnose.contact_search import Plane, with_wall
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, rank
 from mphygs.extend import refit
@@ -80,6 +81,19 @@ def test_what_only_some_recordings_have_is_judged_by_those() -> None:
     assert refit._in_scope(compared, heavy, "viscosity") == compared
     # A fault that is no term of the model is one of all.
     assert refit._in_scope(compared, heavy, "marker_outliers") == compared
+
+
+def test_only_a_wall_brings_materials_of_its_own() -> None:
+    belief = bar_belief(bar_capture(), youngs_modulus=6e4, free=FREE).with_effect("viscosity", {"eta": 5.0})
+    plane = Plane(np.array([0.0, 0.0, 1.0]), -0.01)
+    soft = belief.with_parameter(FREE[0], value=2e4)
+    for kind, kept in (("threshold", 2e4), ("smooth", 6e4)):
+        entry = entry_of("contact", 100.0, kind=kind)
+        start = refit._scaled(entry, with_wall(soft, plane), belief, 1.0)
+        assert start[FREE[0]].value == pytest.approx(kept)
+        # What else the model has stays as it is, linear or not.
+        assert start["viscosity.eta"].log == belief["viscosity.eta"].log
+        assert start["contact.d"].value == pytest.approx(-0.01)
 
 
 # ---- a bar that lacks viscosity ---------------------------------------------------------------

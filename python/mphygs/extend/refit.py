@@ -103,12 +103,12 @@ def _scaled(entry: Entry, start: Belief, belief: Belief, strength: float) -> Bel
                 continue
             value = float(np.clip(parameter.value * strength, parameter.lower, parameter.upper))
             out = out.with_parameter(parameter.key, value=value)
-    # What was fitted stays where the fit left it; a wall may stand where only a softer object meets it.
-    fitted = {} if entry.kind == "threshold" else {p.key: p.value for p in belief.parameters}
+    fitted = {p.key: p.value for p in belief.parameters}
     parameters = []
     for p in out.parameters:
         if p.key in fitted:
-            p = replace(p, value=fitted[p.key])
+            # What was fitted stays where the fit left it; a wall may be where only a softer object meets it.
+            p = p if entry.kind == "threshold" else replace(p, value=fitted[p.key])
         elif p.free and not p.log and p.lower == 0.0 and not math.isfinite(p.prior_std):
             # A strength that cannot be negative is fitted in its logarithm: far from the data a linear step
             # overshoots by orders of magnitude.
