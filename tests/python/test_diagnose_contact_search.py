@@ -22,6 +22,7 @@ from mphygs.diagnose.contact_search import (
     search,
     search_softer,
     sphere,
+    walls,
     with_wall,
 )
 from mphygs.fit.experiment import Experiment
@@ -252,6 +253,7 @@ def test_no_wall_for_a_prediction_that_passes_no_free_plane() -> None:
 def test_a_model_with_a_wall_gets_no_other() -> None:
     problem, observation, belief, evaluation = walled()
     assert search(problem, observation, with_wall(belief, WALL), evaluation) == []
+    assert search_softer(problem, observation, with_wall(belief, WALL), evaluation) == []
 
 
 def test_walls_that_do_not_help_are_not_moved(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,6 +296,39 @@ def test_a_softer_object_meets_the_wall_that_the_fitted_one_is_too_stiff_to_reac
     # The same whoever runs them.
     again = search_softer(softly, observation, belief, evaluation, workers=2)
     assert [(*p.normal, p.offset) for _, p in again] == [(*p.normal, p.offset) for _, p in found]
+
+
+@pytest.mark.parametrize(
+    ("share", "sigma", "left", "known", "asked"),
+    [
+        (0.25, 1.3, None, (), True),
+        (0.4, 1.3, None, (), False),  # right on its first frames
+        (0.25, 1.2, None, (), False),  # and here everywhere
+        (0.25, 1.3, None, ("viscosity",), False),  # no first model
+        (0.25, 1.3, 0.9, (), True),  # a plane that hardly helps
+        (0.25, 1.3, 0.7, (), False),
+    ],
+)
+def test_softer_objects_are_asked_for_where_the_first_model_is_off_early_and_no_wall_helps(
+    share: float,
+    sigma: float,
+    left: float | None,
+    known: tuple[str, ...],
+    asked: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, observation, belief, evaluation = walled()
+    for name in known:
+        belief = belief.with_effect(name)
+    evaluation = replace(evaluation, residual=evaluation.residual * sigma / evaluation.misfit)
+    plane = replace(WALL, chi_square=(left or 0.0) * evaluation.chi_square)
+    soft, better = object(), replace(WALL, offset=0.0)
+    monkeypatch.setattr(contact_search, "search", lambda *_a, **_k: [] if left is None else [plane])
+    for found in ([(soft, better)], []):
+        monkeypatch.setattr(contact_search, "search_softer", lambda *_a, f=found, **_k: f)
+        usual = [] if left is None else [(belief, plane)]
+        expected = found if asked and found else usual
+        assert walls(problem, observation, belief, evaluation, share=share) == expected
 
 
 def test_softer_parts_are_no_wall_where_the_model_is_right(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,6 @@ from mphygs.diagnose.rank import Entry, rank
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
-from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
 
@@ -108,7 +107,8 @@ def test_thresholds_alone_can_be_ranked() -> None:
 def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """What explains much before a refit, at a wrong place, may beat the wall that stands there."""
     planes = [Plane(np.array([0.0, 0.0, 1.0]), offset) for offset in (-0.2, -0.012, -0.014)]
-    monkeypatch.setattr(ranking, "search", lambda *_a, **_k: planes)
+    belief = scene()[1].belief
+    monkeypatch.setattr(ranking, "walls", lambda *_a, **_k: [(belief, plane) for plane in planes])
     (entry,) = ranked("contact").entries
     starts = [entry.start, *entry.others]
     assert sorted(start["contact.d"].value for start in starts) == [-0.2, -0.014, -0.012]
@@ -116,42 +116,21 @@ def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.
     assert sizes.others == ()
 
 
-@pytest.mark.parametrize(
-    ("share", "sigma", "known", "asked"),
-    [
-        (0.25, 1.3, (), True),
-        (0.4, 1.3, (), False),
-        (0.25, 1.2, (), False),
-        (0.25, 1.3, ("viscosity",), False),
-    ],
-)
-def test_walls_that_only_a_softer_object_meets_are_asked_for_early_on(
-    share: float, sigma: float, known: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A first model that is off on its first frames already, and passes no plane that helps."""
+def test_a_softer_object_may_meet_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, fitted = scene()
-    belief = fitted.belief
-    for name in known:
-        belief = belief.with_effect(name)
-    soft = belief.with_parameter(FREE[0], value=0.4 * belief[FREE[0]].value)
-    calls: list[float] = []
+    soft = fitted.belief.with_parameter(FREE[0], value=0.4 * fitted.belief[FREE[0]].value)
+    asked: list[float] = []
 
-    def softly(problem: Problem, *_: object, **__: object) -> list[tuple[Belief, Plane]]:
-        calls.append(problem.ranges["a"][1])
+    def found(*_: object, share: float, **__: object) -> list[tuple[Belief, Plane]]:
+        asked.append(share)
         return [(soft, Plane(np.array([0.0, 0.0, 1.0]), -0.012))]
 
-    monkeypatch.setattr(ranking, "search", lambda *_a, **_k: [])
-    monkeypatch.setattr(ranking, "search_softer", softly)
-    evaluation = experiment.window(SPACING, share).evaluate(belief)
-    scaled = evaluation.residual * sigma / evaluation.misfit
-    evaluation = replace(evaluation, residual=scaled)
-    found = rank(
-        experiment, belief, evaluation, SPACING,
-        share=share, generator=np.random.default_rng(0), names=("contact",),
-    )  # fmt: skip
-    assert len(calls) == asked and len(found.entries) == asked
-    if asked:
-        assert found.entries[0].start[FREE[0]].value == soft[FREE[0]].value
+    monkeypatch.setattr(ranking, "walls", found)
+    (entry,) = rank(
+        experiment, fitted.belief, experiment.window(SPACING, 0.5).evaluate(fitted.belief), SPACING,
+        share=0.5, generator=np.random.default_rng(0), names=("contact",),
+    ).entries  # fmt: skip
+    assert asked == [0.5] and entry.start[FREE[0]].value == soft[FREE[0]].value
 
 
 def test_smooth_effects_that_the_motion_cannot_test_are_said_to_be_so() -> None:
@@ -170,7 +149,7 @@ def test_smooth_effects_that_the_motion_cannot_test_are_said_to_be_so() -> None:
 
 
 def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("search", "plasticity_trials", "hung_trials"):
+    for name in ("walls", "plasticity_trials", "hung_trials"):
         monkeypatch.setattr(ranking, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
     assert [entry.effect for entry in ranked("viscosity").entries] == ["viscosity"]
 

@@ -278,6 +278,8 @@ def search_softer(
     What a wall stops from the beginning is fitted as too stiff to reach it, and passes no plane. Arguments as
     those of `search`; none where a wall explains too little beyond the belief as it was fitted.
     """
+    if "contact" in belief.effects:
+        return []
     try:
         models = softer(problem, belief)
     except SimulationError:
@@ -287,8 +289,7 @@ def search_softer(
     tried = [(runs, proposal) for runs in ways for proposal in runs.proposals()]
     if not tried:
         return []
-    name = next(iter(problem.ranges))
-    fitted = evaluation.residual[evaluation.rows[name]]
+    fitted = _left(problem, evaluation)
     with ThreadPoolExecutor(workers) as pool:
         left = list(pool.map(lambda item: item[0].chi_square(item[1].plane), tried))
         chosen = [tried[k] for k in np.argsort(left)[:MOVED] if np.isfinite(left[k])]
@@ -297,5 +298,34 @@ def search_softer(
     pairs = sorted(pairs, key=lambda pair: pair[1].chi_square)
     if report:
         best = pairs[0][1].chi_square
-        report(f"{len(tried)} planes tried with softer parts: chi^2 {best:.0f} of {fitted @ fitted:.0f}")
-    return [pair for pair in pairs if pair[1].chi_square < HELPS * float(fitted @ fitted)]
+        report(f"{len(tried)} planes tried with softer parts: chi^2 {best:.0f} of {fitted:.0f}")
+    return [pair for pair in pairs if pair[1].chi_square < HELPS * fitted]
+
+
+def _left(problem: Problem, evaluation: Evaluation) -> float:
+    """chi^2 of a problem's first sequence."""
+    residual = evaluation.residual[evaluation.rows[next(iter(problem.ranges))]]
+    return float(residual @ residual)
+
+
+def walls(
+    problem: Problem,
+    observation: Observation,
+    belief: Belief,
+    evaluation: Evaluation,
+    *,
+    share: float = 1.0,
+    workers: int = 1,
+    report: Callable[[str], None] | None = None,
+) -> list[tuple[Belief, Plane]]:
+    """Planes that may be walls, the best first, each with the belief that meets it: this one, or where it is
+    off from its first frames on and no plane helps it, a softer one.
+
+    share: of the fitted frames that the problem is of; other arguments as those of `search`.
+    """
+    given = {"workers": workers, "report": report}
+    found = [(belief, plane) for plane in search(problem, observation, belief, evaluation, **given)]
+    helped = any(plane.chi_square < HELPS * _left(problem, evaluation) for _, plane in found)
+    if not helped and not belief.effects and share <= EARLY and evaluation.misfit > OFF:
+        found = search_softer(problem, observation, belief, evaluation, **given) or found
+    return found

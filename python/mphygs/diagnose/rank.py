@@ -9,7 +9,7 @@ import numpy as np
 
 from mphygs.compare.allowance import Allowance
 from mphygs.diagnose.candidates import Way, base_motion_ways, other_starts, smooth_ways, starting_effect
-from mphygs.diagnose.contact_search import EARLY, OFF, search, search_softer, with_wall
+from mphygs.diagnose.contact_search import walls, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.places import mass_between
@@ -305,12 +305,11 @@ def _trials(
     observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
     if names is None or "contact" in names:
-        asked = (problem, observation, belief, evaluation)
-        given = {"workers": experiment.settings.workers, "report": report}
-        walls = [(belief, plane) for plane in search(*asked, **given)]
-        if not walls and not belief.effects and share <= EARLY and evaluation.misfit > OFF:
-            walls = search_softer(*asked, **given)
-        groups["contact"] = [Trial("contact", plane.label, with_wall(own, plane)) for own, plane in walls]
+        workers = experiment.settings.workers
+        found = walls(
+            problem, observation, belief, evaluation, share=share, workers=workers, report=report
+        )
+        groups["contact"] = [Trial("contact", plane.label, with_wall(own, plane)) for own, plane in found]
     if names is None or "plasticity" in names:
         groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
     if (names is None or "hold_compliance" in names) and problem.settings.transfer != MLS:
