@@ -357,6 +357,13 @@ def test_near_the_floor_only_what_explains_a_share_is_tried() -> None:
     faults = [entry_of("time_offset", 189.0, kind="measurement")]
     found = promising(ranking_of(*entries, *walls, *faults, misfit=1.5))
     assert names(found) == ["viscosity", "contact", "time_offset"]
+    # Where none does, the two that promise most; what explains less than an effect that does nothing is none.
+    few = [entry_of(name, by) for name, by in (("viscosity", 90.0), ("gravity", 80.0), ("wind", 70.0))]
+    assert names(promising(ranking_of(*few, misfit=1.5))) == ["viscosity", "gravity"]
+    assert names(promising(ranking_of(*few, misfit=1.5, decoy=85.0))) == ["viscosity", "gravity"]
+    assert names(promising(ranking_of(few[0], entry_of("gravity", 17.0), misfit=1.5, decoy=85.0))) == [
+        "viscosity"
+    ]
     # Nor what explains less than an effect that does nothing, unless it is near the best.
     entries = [entry_of("viscosity", 1200.0), entry_of("gravity", 250.0), entry_of("wind", 230.0)]
     assert len(promising(ranking_of(*entries, misfit=1.5))) == 3

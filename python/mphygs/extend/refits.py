@@ -30,8 +30,8 @@ WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
 # Below this misfit [sigma] an effect is tried only where it is predicted to take a share of the excess, less
 # where trials of a few sizes predict it, and, short of this share of what the best takes, more than effects
-# that do nothing.
-LINEAR, NEAR_BEST = 2.0, 0.2
+# that do nothing; so many of the best where none takes its share.
+LINEAR, NEAR_BEST, LAST_RESORT = 2.0, 0.2, 2
 WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
 # near the best one even then is not begun. What sets in has no tangents.
@@ -57,7 +57,9 @@ def promising(ranking: Ranking) -> list[Entry]:
         # Smooth decoys do as well as most effects before a refit: they exclude none that is near the best.
         most = good[0].statistic if good else 0.0
         floor = min(ranking.decoy_statistic, NEAR_BEST * most)
-        good = [e for e in good if e.statistic > max(floor, WORTH_A_REFIT[e.kind] * beyond)]
+        good = [e for e in good if e.statistic > floor]
+        # Where none takes its share, two that lead are all that is left to try.
+        good = [e for e in good if e.statistic > WORTH_A_REFIT[e.kind] * beyond] or good[:LAST_RESORT]
     if not good:
         return []
     chosen = [e for e in good if e.statistic > WORTH_A_TRY * good[0].statistic][:BEGUN]
