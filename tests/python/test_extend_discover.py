@@ -305,20 +305,21 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
     experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
     begun = [
         (
+            100.0,
             entry_of(name, 100.0, kind="threshold" if name == "plasticity" else "smooth"),
             SimpleNamespace(belief=name),
         )
         for name in courses
     ]
     found = followed_onward(experiment, 0.25, begun, SPACING)
-    assert {entry.effect for entry, _ in found} == {"viscosity", "air_drag", "mass_damping", "plasticity"}
+    assert {entry.effect for _, entry, _ in found} == {"viscosity", "air_drag", "mass_damping", "plasticity"}
     assert ("wind", 1.0) not in fitted
     assert [share for name, share in fitted if name == "plasticity"] == [0.5, 0.75, 1.0]
-    assert all(solution.evaluation.chi_square < 111.0 for _, solution in found)
+    assert all(solution.evaluation.chi_square < 111.0 for _, _, solution in found)
     # On all frames no more is worth while than three times what the best so far leaves; on the way all is.
     assert bounds["viscosity", 0.5] == bounds["relaxation", 0.5] == np.inf
     assert bounds["mass_damping", 1.0] == refits.BEHIND * 100.0
-    few = [item for item in begun if item[0].effect in ("viscosity", "air_drag", "wind")]
+    few = [item for item in begun if item[1].effect in ("viscosity", "air_drag", "wind")]
     assert len(followed_onward(experiment, 0.25, few, SPACING)) == 3  # so many go on whatever they leave
 
 
@@ -573,6 +574,41 @@ def test_only_what_pays_sets_a_bound_for_others(
     refits_of(ALONE, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
     assert bounds["base_motion"] == np.inf
     assert bounds["relaxation"] == pytest.approx(refits.ALIKE * bound)
+
+
+@pytest.mark.parametrize("pays", [True, False])
+def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
+    pays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first two do alike on the window, the others leave more of it."""
+    chi_squares = {"frame_drift": 100.0, "wind": 120.0, "base_motion": 220.0, "tether": 400.0, "fibre": 500.0}
+    chi_squares["gravity"] = 600.0
+    brought: list[list[str]] = []
+
+    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+        return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect]))
+
+    def onward(_e: object, _share: float, begun: list[tuple], _spacing: float) -> list[tuple]:
+        brought.append([entry.effect for _, entry, _ in begun])
+        return begun
+
+    def finish_refit(
+        _e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object
+    ) -> SimpleNamespace:
+        good = pays or entry.effect == "base_motion"
+        return SimpleNamespace(entry=entry, pays=good, may_pay=False, assessment=assessment_of(2.0))
+
+    for function in (start_refit, finish_refit):
+        monkeypatch.setattr(refits, function.__name__, function)
+    monkeypatch.setattr(refits, "followed_onward", onward)
+    monkeypatch.setattr(refits, "_hopeless", lambda *_: np.inf)
+    entries = [entry_of(name, 1e4) for name in chi_squares]
+    window = (0.25, solution_of(plain_belief(), evaluation_of(1e6)))
+    ranking = ranking_of(*entries, misfit=10.0)
+    found = refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+    behind = [["base_motion", "tether", "fibre"]]
+    assert brought == [["frame_drift", "wind"], *([] if pays else behind)]
+    assert [r.entry.effect for r in found if r.pays][0] == ("frame_drift" if pays else "base_motion")
 
 
 @pytest.mark.parametrize(("misfit", "pays", "asked"), [(1.5, True, 1), (2.5, True, 2), (1.5, False, 2)])

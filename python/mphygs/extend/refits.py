@@ -103,14 +103,41 @@ def refits_of(
             if solution is not None:
                 begun.append((solution.evaluation.chi_square, entry, solution))
     begun.sort(key=lambda item: item[0])
-    if window[0] < 1.0:
-        # Over a short window many effects do alike: a few iterations on all frames tell them apart.
-        alike = [(entry, fit) for chi_square, entry, fit in begun if chi_square < ALIKE * begun[0][0]]
-        begun = [
-            (solution.evaluation.chi_square, entry, solution)
-            for entry, solution in followed_onward(experiment, window[0], alike, spacing)
-        ]
-        begun.sort(key=lambda item: item[0])
+
+    def finished(of: Sequence[tuple[float, Entry, Solution]]) -> list[Refit]:
+        return _finished(experiment, current, of, near, spacing, generator, say)
+
+    if window[0] == 1.0 or not begun:
+        return finished(begun)
+    # Over a short window many effects do alike: a few iterations on all frames tell them apart. Where none of
+    # those does any good there, a short window had the wrong ones in front.
+    limit = ALIKE * begun[0][0]
+    alike, behind = ([item for item in begun if (item[0] < limit) is side] for side in (True, False))
+    found = finished(followed_onward(experiment, window[0], alike, spacing))
+    if behind and not any(r.pays or r.may_pay for r in found):
+        behind = behind[:FINISHED]
+        say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
+        found += finished(followed_onward(experiment, window[0], behind, spacing))
+    return found
+
+
+def _far_behind(entry: Entry, ranking: Ranking, best: float) -> bool:
+    """Whether an entry stays behind a chi^2 that is reached even if it brings many times its promise."""
+    least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
+    telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
+    return telling and least > ALIKE * best
+
+
+def _finished(
+    experiment: Experiment,
+    current: Step,
+    begun: Sequence[tuple[float, Entry, Solution]],
+    near: bool,
+    spacing: float,
+    generator: np.random.Generator,
+    say: Callable[[str], None],
+) -> list[Refit]:
+    """The refits that are closest, brought to the end. begun: chi^2, entry and fit, the best first."""
     finished: list[Refit] = []
     for number, (chi_square, entry, solution) in enumerate(begun):
         # What the coarse grid has of its own may put the true effect a little behind.
@@ -141,22 +168,16 @@ def refits_of(
     return finished
 
 
-def _far_behind(entry: Entry, ranking: Ranking, best: float) -> bool:
-    """Whether an entry stays behind a chi^2 that is reached even if it brings many times its promise."""
-    least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
-    telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
-    return telling and least > ALIKE * best
-
-
 def followed_onward(
-    experiment: Experiment, share: float, begun: Sequence[tuple[Entry, Solution]], spacing: float
-) -> list[tuple[Entry, Solution]]:
-    """Refits to a share of the frames brought to all of them, side by side.
+    experiment: Experiment, share: float, begun: Sequence[tuple[float, Entry, Solution]], spacing: float
+) -> list[tuple[float, Entry, Solution]]:
+    """Refits to a share of the frames brought to all of them, side by side. begun: chi^2, entry and fit, the
+    best first, as they are returned.
 
     The motion is followed from the window on, not met all at once: half a swing off there is no way back. Who
     falls behind others on the way is not brought to the end.
     """
-    followed = [(entry, solution, onward(share, entry.kind)) for entry, solution in begun]
+    followed = [(entry, solution, onward(share, entry.kind)) for _, entry, solution in begun]
     for reach in sorted({reach for _, _, plan in followed for reach in plan}):
         passing = [item for item in followed if reach not in item[2]]
         there: list[tuple[Entry, Solution, list[float]]] = []
@@ -191,7 +212,8 @@ def followed_onward(
                 or item[1].evaluation.chi_square < ALIKE * there[0][1].evaluation.chi_square
             ]
         followed = passing + there
-    return [(entry, solution) for entry, solution, _ in followed]
+    reached = [(solution.evaluation.chi_square, entry, solution) for entry, solution, _ in followed]
+    return sorted(reached, key=lambda item: item[0])
 
 
 def _hopeless(experiment: Experiment, finished: Sequence[Refit], spacing: float) -> float:
