@@ -36,8 +36,6 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
 # near the best one even then is not begun. What sets in has no tangents.
 TELLING, BEYOND_TANGENTS = 4.0, 3.0
-# Iterations on every stretch of frames that a refit is brought onward by.
-ON_THE_WAY = {"smooth": 2, "measurement": 2, "threshold": 3}
 # An effect that leaves so many times the best one's chi^2 after an iteration is not followed; one that leaves
 # so many times as much once it was followed onward is not brought to the end.
 HOPELESS, BEHIND = 10.0, 3.0
@@ -194,9 +192,7 @@ def followed_onward(
             ) -> Solution | None:
                 problem = own.window(spacing, reach)
                 try:
-                    return fit_what_sets_in(
-                        problem, item[1].belief, iterations=ON_THE_WAY[item[0].kind], hopeless=hopeless
-                    )
+                    return fit_what_sets_in(problem, item[1].belief, hopeless=hopeless)
                 except SimulationError:
                     return None
 
