@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from mphygs.compare.noise import Observation
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import find_scale, forget
+from mphygs.fit.schedule import find_scale, forget, stiffened
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import MLS
@@ -252,10 +252,7 @@ def softer(problem: Problem, belief: Belief) -> list[tuple[Belief, Evaluation]]:
     those that cannot be simulated left out. Raises SimulationError where none at all can be."""
     alike, found = find_scale(problem, forget(belief)), []
     for share in SOFTER:
-        soft = alike
-        for p in alike.free:
-            if p.key.endswith(".youngs_modulus"):
-                soft = soft.with_parameter(p.key, value=max(share * p.value, p.lower))
+        soft = stiffened(alike, share)
         try:
             found.append((soft, problem.evaluate(soft, jacobian=False)))
         except SimulationError:

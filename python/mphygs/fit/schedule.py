@@ -123,6 +123,14 @@ def forget(belief: Belief) -> Belief:
     return replace(belief, parameters=tuple(parameters))
 
 
+def stiffened(belief: Belief, factor: float) -> Belief:
+    """The belief with all free Young's moduli times a factor, as far as their bounds allow."""
+    for p in belief.free:
+        if p.key.endswith(".youngs_modulus"):
+            belief = belief.with_parameter(p.key, value=min(max(p.value * factor, p.lower), p.upper))
+    return belief
+
+
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
     """Move all free Young's moduli together to the factor that fits the first frames best."""
     keys = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
@@ -131,10 +139,7 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
         if best is not None and worse >= PATIENCE and belief.prestress == "equilibrium":
             break
         worse += 1
-        trial = belief
-        for key in keys:
-            p = belief[key]
-            trial = trial.with_parameter(key, value=min(max(p.value * scale, p.lower), p.upper))
+        trial = stiffened(belief, scale)
         try:
             cost = problem.evaluate(trial, jacobian=False).cost
         except SimulationError:
@@ -158,10 +163,7 @@ def simulable(problem: Problem, belief: Belief) -> Belief:
     Raises SimulationError when a factor of 64 does not help.
     """
     for factor in (1.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0):
-        trial = belief
-        for p in belief.free:
-            if p.key.endswith(".youngs_modulus"):
-                trial = trial.with_parameter(p.key, value=min(p.value * factor, p.upper))
+        trial = stiffened(belief, factor)
         try:
             problem.evaluate(trial, jacobian=False)
         except SimulationError as error:
