@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +12,9 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.fit import schedule
+from mphygs import discover as discover_command
+from mphygs.command import Console
+from mphygs.fit import checkpointed, schedule
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import Run, load_run
@@ -139,3 +142,40 @@ def test_the_plan_of_a_screening_fit_dwells_on_nothing_gross() -> None:
     assert [s.accuracy for s in screened] == [max(s.accuracy, SCREENING_ACCURACY) for s in usual]
     # What is decided on is fitted as ever.
     assert plan_of(capture, deciding, warm=True, screening=True) == plan_of(capture, deciding, warm=True)
+
+
+@pytest.mark.parametrize("screening", [False, True])
+def test_a_run_is_fitted_by_the_plan_that_it_is_for(
+    screening: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capture = bar_capture(frames=10, fps=60.0, fit=(0, 10))
+    belief = bar_belief(capture, free=FREE)
+    capture = recorded(capture, belief, 0.01)
+    coarse = screening_spacing(capture)
+    experiment = Experiment.of(capture, Settings(coarse, workers=1))
+    asked: list[tuple[Stage, ...]] = []
+    monkeypatch.setattr(checkpointed, "fit_belief", lambda *_a, plan, **_k: asked.append(plan))
+    run = Run(
+        folder=tmp_path, options={}, seed=0, capture=tmp_path, digest="", settings=experiment.settings,
+        ranges=experiment.fitted, start=belief, belief=belief,
+    )  # fmt: skip
+    fit_run(run, experiment, screening=screening)
+    assert asked == [plan_of(capture, coarse, warm=False, screening=screening)]
+
+
+@pytest.mark.parametrize("spacing", [None, 0.01])
+def test_the_loop_asks_for_a_screening_fit_unless_the_grid_is_chosen(
+    spacing: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool] = []
+
+    def fitted(*_: object, screening: bool) -> None:
+        asked.append(screening)
+        raise SimulationError("far enough")
+
+    monkeypatch.setattr(discover_command, "fitted", fitted)
+    monkeypatch.setattr(discover_command, "load_capture", lambda _path: bar_capture(frames=10))
+    options = discover_command.DiscoverOptions(capture=tmp_path, out=tmp_path / "run", spacing=spacing)
+    with pytest.raises(SimulationError):
+        discover_command.loop(options, Console(io.StringIO()))
+    assert asked == [spacing is None]

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from force_example import measured_problem, shaken_bar, soft_belief
+from mphygs.diagnose import force_regression
 from mphygs.diagnose.force_features import PointMotion
 from mphygs.diagnose.force_plugin import plugin_text
 from mphygs.diagnose.force_readings import nature, where
@@ -212,3 +214,29 @@ def test_torch_sees_the_code_of_every_kind() -> None:
             "away": lambda position, place, core: position + core,
         }  # fmt: skip
         assert eval(code, scope).shape == (4, 3), kind
+
+
+@pytest.mark.parametrize(("falls", "steps"), [([0.5, 0.5, 0.5, 0.5], 4), ([0.5, 0.999], 2), ([0.5, 1.5], 2)])
+def test_a_formula_s_refit_ends_where_it_no_longer_falls(
+    falls: list[float], steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """falls: what each step leaves of the cost; one that leaves more is tried shorter, and then given up."""
+    asked: list[float] = []
+    runs = iter([*falls, *[1.5] * 8])
+
+    def at(base: SimpleNamespace, *_: object) -> SimpleNamespace:
+        return SimpleNamespace(belief=base.belief, chi_square=base.left[-1] * (next(runs) if asked else 1.0))
+
+    def normal(_problem: object, now: SimpleNamespace, _own: object) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(now.chi_square)
+        base.left.append(now.chi_square)
+        return np.eye(1), np.ones(1)
+
+    belief = SimpleNamespace(coordinates=np.zeros(0), at=lambda _c: belief)
+    base = SimpleNamespace(belief=belief, left=[100.0])
+    problem = SimpleNamespace(prior_rows=lambda _belief: (np.zeros(1), None))
+    monkeypatch.setattr(force_regression, "_at", at)
+    monkeypatch.setattr(force_regression, "_normal", normal)
+    found = force_regression._refitted(problem, base, {}, np.ones(1), np.zeros(0))
+    assert len(asked) == steps
+    assert found.chi_square == pytest.approx(100.0 * np.prod([f for f in falls if f < 1.0]))

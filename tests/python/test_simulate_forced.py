@@ -82,3 +82,18 @@ def test_modes_tell_what_a_force_does(forced: ForcedSequence) -> None:
     amplitude = modes.response(modal, motion.spans)[..., 0]
     found = np.einsum("mk,mkcj,tj->tmc", weight, modes.shape[node], amplitude)
     assert np.linalg.norm(found - exact[:, free]) < 0.2 * np.linalg.norm(exact[:, free])
+
+
+def test_many_directions_are_those_of_each_alone(forced: ForcedSequence) -> None:
+    """More than the core carries at once: shared out to several runs, side by side where there are cores."""
+    belief = soft_belief(forced.predictor.capture, free=FREE)
+    shape = (8, forced.model(belief).node_count, 3)
+    forces = list(1e-3 * np.random.default_rng(1).standard_normal((11, *shape)))
+    assert len(forces) > forced.predictor.transfer.batch
+    motion = forced.run(belief, np.zeros(shape))
+    alone = np.concatenate([forced.tangents(motion, [force]) for force in forces], axis=-1)
+    assert np.abs(alone).max(axis=(0, 1, 2)).min() > 0.0
+    found = forced.tangents(motion, forces, FREE)
+    np.testing.assert_allclose(found[..., :11], alone, rtol=1e-9, atol=1e-15)
+    abreast = ForcedSequence(forced.predictor.twin(2), 8)
+    assert np.array_equal(abreast.tangents(motion, forces, FREE), found)
