@@ -30,7 +30,8 @@ from mphygs.simulate.total_lagrangian import TotalLagrangian
 from mphygs.simulate.transfer import Start, Transfer
 from mphygs.simulate.user_effects import forces_of
 
-# Predictions with their derivatives that are kept: one fit ends where the next begins, or a comparison.
+# Predictions that are kept, as many with derivatives as without: one fit ends where the next begins, or a
+# comparison, and whether a model can be simulated is asked before it is fitted.
 KEPT = 3
 
 
@@ -72,7 +73,9 @@ class Predictor:
         self.transfer: Transfer = (MaterialPoints if particles else TotalLagrangian)(body, settings)
         if recording.markers is not None:
             self.attachment = body.attach(recording.markers.at)
+        # With derivatives, and without.
         self._kept: list[tuple[Belief, int, float | None, Prediction]] = []
+        self._plain: list[tuple[Belief, int, float | None, Prediction]] = []
         self._halt: Event | None = None
 
     def twin(self, workers: int, halt: Event | None = None) -> Predictor:
@@ -82,13 +85,13 @@ class Predictor:
         """
         settings = replace(self.settings, workers=workers)
         twin = Predictor(self.capture, self.recording, settings, body=self.body)
-        twin._kept, twin._halt = list(self._kept), halt
+        twin._kept, twin._plain, twin._halt = list(self._kept), list(self._plain), halt
         return twin
 
     def forget(self) -> None:
         """Drop what earlier runs left, so that what follows does not depend on them to the last bit."""
         self.transfer.forget()
-        self._kept = []
+        self._kept, self._plain = [], []
 
     @property
     def body(self) -> Body:
@@ -207,8 +210,9 @@ class Predictor:
         if belief.prestress == "equilibrium":
             self.rest_shape.solve(belief)
             groups: dict[int, list[int]] = {}
-            for i, (owner, _) in enumerate(owned):
-                groups.setdefault(id(owner), []).append(i)
+            for i, (owner, parameter) in enumerate(owned):
+                if self.rest_shape.answers(owner, parameter):
+                    groups.setdefault(id(owner), []).append(i)
             for indices in groups.values():
                 owner = owned[indices[0]][0]
                 slopes = self.transfer.prestress_slopes(owner, [owned[i][1] for i in indices])
@@ -275,15 +279,16 @@ class Predictor:
         prediction = Prediction(
             timeline.frames, position, velocity, jacobian, names, timeline.substeps, timeline.longest
         )
-        if whole and names:
-            self._kept = [*self._kept[1 - KEPT :], (belief, last, substep, prediction)]
+        if whole:
+            kept = self._kept if names else self._plain
+            kept[:] = [*kept[1 - KEPT :], (belief, last, substep, prediction)]
         return prediction
 
     def _known(
         self, belief: Belief, last: int, substep: float | None, keys: tuple[str, ...]
     ) -> Prediction | None:
-        """One of the latest predictions with derivatives, where it is the one that is asked for."""
-        for of, until, step, prediction in self._kept:
+        """One of the latest predictions, where it is the one that is asked for."""
+        for of, until, step, prediction in (*self._kept, *self._plain):
             if of is belief and (until, step) == (last, substep) and keys in ((), prediction.keys):
                 if keys:
                     return prediction

@@ -18,6 +18,18 @@ from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, direct
 LOAD_STAGES = ((0.35, 0.7, 1.0), tuple(np.arange(1, 13) / 12.0))
 
 
+def _acting(belief: Belief) -> tuple[Belief, tuple[str, ...]]:
+    """What of a belief acts at rest, and the core effects of it."""
+    rest = at_rest(belief)
+    active = tuple(
+        n
+        for n in core_effects(rest)
+        if n in STATIC_EFFECTS or effect(n).site == "volume" and n != "prestress"
+    )
+    terms = tuple(t for t in rest.terms if t.name in active or effect(t.name).site == "material")
+    return replace(rest, terms=terms), active
+
+
 class RestShape:
     """Solves for the stress-free state of one body and keeps the last solution.
 
@@ -32,18 +44,15 @@ class RestShape:
         self._solution: dict | None = None
         self._coordinates: bytes | None = None
 
+    def answers(self, belief: Belief, parameter: Parameter) -> bool:
+        """Whether the stress-free shape may change with a parameter of a belief: not with a wall, say."""
+        owner = parameter.key.rsplit(".", 1)[0]
+        return owner in self._body.part_names or owner in _acting(belief)[0].effects
+
     def _prepare(self, belief: Belief) -> Belief:
         """The solver made ready. Returns what of the belief acts at rest; all else, a wall say, asks for
         no other solution."""
-        rest = at_rest(belief)
-        active = tuple(
-            n
-            for n in core_effects(rest)
-            if n in STATIC_EFFECTS or effect(n).site == "volume" and n != "prestress"
-        )
-        rest = replace(
-            rest, terms=tuple(t for t in rest.terms if t.name in active or effect(t.name).site == "material")
-        )
+        rest, active = _acting(belief)
         spots = places(rest)
         key = (active, rest.law, spots.tobytes())
         if key != self._key:
@@ -110,8 +119,7 @@ class RestShape:
         zero = np.zeros((load.shape[0], 3))
         directions = []
         for parameter in parameters:
-            owner = parameter.key.rsplit(".", 1)[0]
-            if owner not in self._body.part_names and owner not in rest.effects:
+            if not self.answers(belief, parameter):
                 directions.append(({}, zero))
                 continue
             try:
