@@ -119,6 +119,8 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     spacing = state.settings.spacing
     done = _Done(list(kept.get("steps", [])), list(kept.get("states", [])), kept.get("ranking"))
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
+    if screening:  # on one grid: the stage before the last one was half the frames
+        steps[0] = replace(steps[0], halfway=state.earlier)
     if not done.documents:
         done.tell(steps[0], experiment)
         _keep(out, done, experiment)

@@ -24,12 +24,14 @@ from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend import discover, refits, settle, window
 from mphygs.extend.grids import onward
+from mphygs.extend.refit import Refit
 from mphygs.extend.refits import followed_onward, promising, refits_of
 from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
 from mphygs.extend.window import tractable_window
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
+from mphygs.fit.schedule import TRACTABLE
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -94,10 +96,13 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return done
 
 
-def look(experiment: Frames, *, added: tuple[str, ...] = ()) -> tuple[float, Solution]:
+def look(
+    experiment: Frames, *, added: tuple[str, ...] = (), halfway: Belief | None = None
+) -> tuple[float, Solution]:
     belief = plain_belief().with_parameter(KEY, value=1e6)
     solution = solution_of(belief, experiment.problem(SPACING).evaluate(belief))
     step = replace(step_of(assessment_of(9.0), added=added), belief=belief, solution=solution)
+    step = replace(step, halfway=halfway)
     return tractable_window(experiment, step, SPACING, lambda _text: None)
 
 
@@ -218,6 +223,26 @@ def test_a_model_with_an_effect_is_not_forgotten(fits: list[float], monkeypatch:
     assert scaled == []
     look(Frames(growing(6.0)))
     assert len(scaled) == 1
+
+
+@pytest.mark.parametrize(
+    ("left", "own", "passed"), [(2.0, 0.1, True), (2.0, 9.0, False), (1.1, 0.1, False), (4.1, 0.1, False)]
+)
+def test_a_window_that_the_first_fit_passed_is_not_fitted_again(
+    left: float, own: float, passed: bool, fits: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(window, "unabsorbed", lambda *_, **__: own)
+    experiment = Frames(lambda fitted, share: left if fitted <= 0.5 else 9.0)
+    halfway = plain_belief().with_parameter(KEY, value=5e5)
+    share, solution = look(experiment, halfway=halfway)
+    if passed:
+        assert (share, solution.belief, fits) == (0.5, halfway, [])
+        assert ratio(solution) == pytest.approx(left)
+    elif left < TRACTABLE:
+        # More frames are asked from there, and what sets in after it is seen from it.
+        assert (fits, share, solution.belief) == ([0.55], 0.75, halfway)
+    else:
+        assert fits[0] == 0.25
 
 
 def test_other_recordings_are_seen_from_the_model_of_the_simplest(fits: list[float]) -> None:
@@ -466,6 +491,55 @@ def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.Monk
     assert (found.added, found.ties) == (("viscosity",), ("wind",))
 
 
+@pytest.mark.parametrize("leads", ["wind", "air_drag"])
+@pytest.mark.parametrize("deep", [1.05, 2.0])
+def test_what_contains_the_conclusion_ties_without_a_fit(
+    leads: str, deep: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """deep: what still air leaves on the deciding grid [sigma]; a wind of zero is still air."""
+    asked: list[str] = []
+
+    def refined(_e: object, steps: list[Step], _r: object, **_: object) -> Step:
+        step = steps[-1]
+        asked.append(step.added[0])
+        left = deep if step.added == ("air_drag",) else 1.04
+        return replace(step, spacing=0.5 * SPACING, assessment=assessment_of(left))
+
+    def on_grid(_e: object, step: Step, *_: object, **__: object) -> Step:
+        asked.append(f"{step.added[0]} beside")
+        return replace(step, spacing=0.5 * SPACING)
+
+    monkeypatch.setattr(settle, "refined", refined)
+    monkeypatch.setattr(settle, "on_grid", on_grid)
+    still, wind = model("air_drag", 0.9 if leads == "wind" else 0.6, 2), model("wind", 0.6, 5)
+    best, rival = (wind, still) if leads == "wind" else (still, wind)
+    first = step_of(assessment_of(20.0))
+    found = settled(ALONE, [first], best, [rival, model("viscosity", 1.5, 2)], None, screening=True)
+    if deep < 1.1:
+        assert (found.added, found.ties) == (("air_drag",), ("wind",))
+        assert asked == ["air_drag", "viscosity beside"]
+    elif leads == "wind":
+        # Its numbers are needed.
+        assert (found.added, found.ties) == (("wind",), ())
+        assert asked == ["air_drag", "wind", "viscosity beside"]
+    else:
+        assert (found.added, found.ties, asked) == (("air_drag",), (), ["air_drag"])
+
+
+def test_numbers_that_explain_far_more_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def refined(_e: object, steps: list[Step], _r: object, **_: object) -> Step:
+        asked.append(steps[-1].added[0])
+        return steps[-1]
+
+    monkeypatch.setattr(settle, "refined", refined)
+    first = step_of(assessment_of(20.0))
+    still, wind = model("air_drag", 1.5, 2), model("wind", 0.05, 5)
+    found = settled(ALONE, [first], wind, [still], None, screening=True)
+    assert (found.added, found.ties, asked) == (("wind",), (), ["wind"])
+
+
 @pytest.mark.parametrize("left", [0.06, 0.03])
 def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     monkeypatch: pytest.MonkeyPatch, left: float
@@ -574,6 +648,44 @@ def test_only_what_pays_sets_a_bound_for_others(
     assert bounds["relaxation"] == pytest.approx(refits.ALIKE * bound)
 
 
+@pytest.mark.parametrize(
+    ("misfits", "behind"),
+    [
+        # 0.21 beyond noise: what leaves ten times as much is astray
+        ({"air_drag": 1.1, "mass_damping": 1.8, "relaxation": 1.7}, ["mass_damping"]),
+        # less than a tenth is noise
+        ({"air_drag": 1.0, "mass_damping": 1.4, "relaxation": 1.42}, ["relaxation"]),
+        # nothing is near: a swing off, no prediction tells
+        ({"air_drag": 2.1, "mass_damping": 9.0}, []),
+        # what sets in may be met again
+        ({"air_drag": 1.1, "mass_damping": 1.2, "contact": 9.0}, []),
+        ({"air_drag": 1.1, "relaxation": np.inf}, ["relaxation"]),
+        ({"mass_damping": 1.1}, []),
+    ],
+)
+def test_what_predicts_the_other_frames_is_followed(misfits: dict[str, float], behind: list[str]) -> None:
+    begun = []
+    for k, name in enumerate(misfits):
+        belief = plain_belief().with_parameter(KEY, value=1e5 + k)
+        entry = entry_of(name, 1e4, kind="threshold" if name == "contact" else "smooth")
+        begun.append((100.0 + k, entry, solution_of(belief, evaluation_of(100.0 + k))))
+
+    def evaluate(belief: Belief, *, jacobian: bool) -> Evaluation:
+        assert not jacobian
+        misfit = list(misfits.values())[round(belief[KEY].value - 1e5)]
+        if not np.isfinite(misfit):
+            raise SimulationError("unstable")
+        return evaluation_of(100.0 * misfit**2)
+
+    experiment = SimpleNamespace(
+        settings=ALONE.settings, problem=lambda _spacing: SimpleNamespace(evaluate=evaluate)
+    )
+    said: list[str] = []
+    front, astray = refits._told_by_prediction(experiment, begun, SPACING, said.append)
+    assert [entry.effect for _, entry, _ in astray] == behind and len(said) == len(behind)
+    assert [entry.effect for _, entry, _ in front] == [name for name in misfits if name not in behind]
+
+
 @pytest.mark.parametrize("pays", [True, False])
 def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     pays: bool, monkeypatch: pytest.MonkeyPatch
@@ -581,6 +693,7 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     """The first two do alike on the window, the others leave more of it."""
     chi_squares = {"frame_drift": 100.0, "wind": 120.0, "base_motion": 220.0, "tether": 400.0, "fibre": 500.0}
     chi_squares["gravity"] = 600.0
+    monkeypatch.setattr(refits, "_told_by_prediction", lambda _e, begun, *_: (begun, []))
     brought: list[list[str]] = []
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
@@ -607,6 +720,48 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     behind = [["base_motion", "tether", "fibre"]]
     assert brought == [["frame_drift", "wind"], *([] if pays else behind)]
     assert [r.entry.effect for r in found if r.pays][0] == ("frame_drift" if pays else "base_motion")
+
+
+@pytest.mark.parametrize(
+    ("wind", "grids", "followed"),
+    [
+        (109.0, True, [["air_drag", "viscosity"]]),
+        # More than the grid may have is left, or the numbers brought much: the wind is fitted.
+        (109.0, False, [["air_drag", "viscosity"], ["wind"]]),
+        (102.0, True, [["air_drag", "viscosity", "wind"]]),
+    ],
+)
+def test_more_numbers_are_not_fitted_to_what_may_be_the_grids(
+    wind: float, grids: bool, followed: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chi_squares = {"air_drag": 110.0, "wind": wind, "viscosity": 115.0}
+    brought: list[list[str]] = []
+
+    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+        return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect]))
+
+    def onward(_e: object, _share: float, begun: list[tuple], _spacing: float) -> list[tuple]:
+        brought.append(sorted(entry.effect for _, entry, _ in begun))
+        return begun
+
+    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> Refit:
+        gain = GainInterval(1.0, 0.5, 1.5, 10)
+        return replace(refit_of(gain=gain, assessment=assessment_of(1.2)), entry=entry)
+
+    for function in (start_refit, finish_refit):
+        monkeypatch.setattr(refits, function.__name__, function)
+    monkeypatch.setattr(refits, "followed_onward", onward)
+    monkeypatch.setattr(refits, "may_have_all", lambda *_: grids)
+    monkeypatch.setattr(refits, "_told_by_prediction", lambda _e, begun, *_: (begun, []))
+    monkeypatch.setattr(refits, "_hopeless", lambda *_: np.inf)
+    entries = [entry_of(name, 1e4) for name in chi_squares]
+    window = (0.5, solution_of(plain_belief(), evaluation_of(1e6)))
+    ranking = ranking_of(*entries, misfit=10.0)
+    found = refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+    assert brought == followed
+    contained = {r.entry.effect: r.contained_in for r in found}
+    assert contained["air_drag"] == (("wind",) if len(contained) < 3 else ())
+    assert contained["viscosity"] == ()
 
 
 @pytest.mark.parametrize(("misfit", "pays", "asked"), [(1.5, True, 1), (2.5, True, 2), (1.5, False, 2)])
@@ -727,6 +882,43 @@ def test_what_explains_too_little_is_not_kept(
     assert [step.added for step in loop.steps] == ([(), ("fibre",)] if kept else [()])
     assert ("fibre: explains too little of what is left" in said) is not kept
     assert loop.verdict == ("missing" if adequate else "unknown")
+
+
+@pytest.mark.parametrize(
+    ("added", "excesses", "goes_on"),
+    [
+        ([(), ("gravity",)], (10.0, 7.0), True),
+        ([(), ("gravity",), ("wind",)], (10.0, 5.0, 2.4), True),
+        ([(), ("gravity",), ("wind",)], (10.0, 5.0, 2.6), False),
+        # bad tracks are no effect
+        ([(), ("marker_outliers",), ("wind",)], (10.0, 9.0, 7.0), True),
+        ([(), ("wind",), ("marker_outliers",)], (10.0, 9.0, 7.0), True),
+    ],
+)
+def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
+    added: list[tuple[str, ...]],
+    excesses: tuple[float, ...],
+    goes_on: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps = [step_of(excess_of(left), added=name) for name, left in zip(added, excesses, strict=True)]
+    looked: list[int] = []
+
+    def tractable_window(*_: object) -> tuple[float, Solution]:
+        looked.append(1)
+        return 1.0, steps[-1].solution
+
+    monkeypatch.setattr(discover, "tractable_window", tractable_window)
+    monkeypatch.setattr(discover, "allowance_of", lambda *_, **__: None)
+    monkeypatch.setattr(discover, "rank", lambda *_, **__: ranking_of())
+    monkeypatch.setattr(discover, "refits_of", lambda *_: [])
+    monkeypatch.setattr(discover, "refined", lambda _e, steps, *_, **__: steps[-1])
+    monkeypatch.setattr(discover, "reconciled", lambda _e, step, _r: step)
+    monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
+    monkeypatch.setattr(discover, "without_loads", lambda _e: ())
+    # A loop that is resumed stops where it would have.
+    found = discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
+    assert found.verdict == "unknown" and len(looked) == goes_on
 
 
 # ---- a loop that was stopped ------------------------------------------------------------------

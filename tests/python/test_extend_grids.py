@@ -26,6 +26,7 @@ from mphygs.extend import probe as probing
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import deciding_spacing, default_spacing, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -165,6 +166,54 @@ def test_a_step_is_refitted_on_another_grid() -> None:
     assert after.assessment.worst < 1.2 < before.assessment.worst
     assert after.assessment.ratio == experiment.assess(experiment.compare(after.belief, FINE)).ratio
     assert "7.5 mm" in said[0] and "->" in said[-1]
+
+
+@pytest.mark.parametrize(
+    ("fit", "worst", "converged", "asked"),
+    [
+        # all that a finer grid could take away leaves it far beyond the floor
+        (1.3, 2.8, False, ["first"]),
+        # near enough that it may
+        (1.3, 2.0, False, ["first", "rest"]),
+        (1.3, 2.8, True, ["first"]),
+        # fitted frames at the floor: to the last digits where others are near it
+        (1.05, 1.6, True, ["first", "last digits"]),
+        (1.05, 1.7, True, ["first"]),
+        (1.05, 2.8, False, ["first"]),
+    ],
+)
+def test_a_fit_on_a_finer_grid_goes_on_where_it_may_come_near_the_floor(
+    fit: float, worst: float, converged: bool, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 2.9 sigma on the coarse grid, 1.33 times the spacing: what falls from 2.9 to 2.8 ends at 2.7."""
+    done: list[str] = []
+
+    def minimise(
+        _problem: object, belief: Belief, *, iterations: int, relative_tolerance: float, **_: object
+    ) -> Solution:
+        last = relative_tolerance == grids.LAST_DIGITS
+        done.append("last digits" if last else "first" if iterations == grids.FIRST else "rest")
+        return replace(solution_of(belief, evaluation_of(100.0 * fit**2)), converged=converged)
+
+    experiment = SimpleNamespace(
+        problem=lambda _spacing: None,
+        compare=lambda _belief, _spacing, *, jacobian: {},
+        assess=lambda _compared: assessment_of(fit, worst),
+    )
+    monkeypatch.setattr(grids, "minimise", minimise)
+    monkeypatch.setattr(grids, "simulable", lambda _problem, belief: belief)
+    monkeypatch.setattr(grids, "lender_of", lambda *_: None)
+    monkeypatch.setattr(grids, "with_tangents", lambda _experiment, compared, *_: compared)
+    step = step_of(assessment_of(2.9), added=("air_drag",), spacing=COARSE)
+    found = grids.on_grid(experiment, step, FINE)
+    assert found is not None and found.assessment.worst == worst
+    assert done == asked
+    # What sets in may still be met, and a first model is what others are told from.
+    if asked == ["first"] and not converged:
+        for added in (("contact",), ()):
+            done.clear()
+            grids.on_grid(experiment, replace(step, added=added), FINE)
+            assert done == ["first", "rest"]
 
 
 def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:

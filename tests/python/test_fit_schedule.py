@@ -132,6 +132,29 @@ def test_a_fit_is_brought_onward_on_the_finer_grid_alone(monkeypatch: pytest.Mon
     assert solution.belief[FREE[0]].value == pytest.approx(6e4, rel=0.02)
 
 
+def test_a_part_of_stone_among_others_is_as_stiff_as_they_are() -> None:
+    capture = bar_capture(lengths=(0.02, 0.02, 0.02))
+
+    def moduli(*values: float) -> Belief:
+        free = tuple(f"part{k}.youngs_modulus" for k in range(3))
+        belief = bar_belief(capture, youngs_modulus=1e5, free=free)
+        for k, value in enumerate(values):
+            belief = belief.with_parameter(f"part{k}.youngs_modulus", value=value)
+        return belief
+
+    found = schedule.without_stiffest(moduli(4e4, 9e5, 1e5))
+    assert found is not None
+    values = [found[f"part{k}.youngs_modulus"].value for k in range(3)]
+    assert values == pytest.approx([4e4, (4e4 * 1e5) ** 0.5, 1e5])
+    # Less than twice the next, and a light part that is soft, in which waves are as fast.
+    assert schedule.without_stiffest(moduli(4e4, 1.9e5, 1e5)) is None
+    light = moduli(4e4, 3e5, 1e5).with_parameter("part2.density", value=10.0)
+    assert schedule.without_stiffest(light) is None
+    held = moduli(4e4, 9e5, 1e5)
+    fixed = tuple(replace(p, free=p.free and p.key != "part1.youngs_modulus") for p in held.parameters)
+    assert schedule.without_stiffest(replace(held, parameters=fixed)) is None
+
+
 def test_the_plan_of_a_screening_fit_dwells_on_nothing_gross() -> None:
     capture = bar_capture(frames=10, fps=100.0)
     coarse, deciding = screening_spacing(capture), deciding_spacing(capture)

@@ -19,21 +19,23 @@ from mphygs.extend.grids import finely, polished, refined, with_budget
 from mphygs.extend.narrow import narrowed
 from mphygs.extend.probe import probed
 from mphygs.extend.prune import pruned
-from mphygs.extend.readmit import FAULT, readmitted
+from mphygs.extend.readmit import readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
-from mphygs.extend.step import EXPLAINED, Step, excess, known_budget
-from mphygs.extend.window import tractable_window
+from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
+from mphygs.extend.window import HALF, tractable_window
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import FINE, deciding_spacing, fit_belief, plan_of, screening_spacing
+from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.schedule import FINE, Stage, deciding_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-# Effects in a model; steps of the loop, exchanges included.
+# Effects in a model; steps of the loop, exchanges included. A second one that leaves most of what was left
+# is not followed by a third.
 LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
@@ -83,6 +85,12 @@ def first_fit(
     for name in experiment.fitted:
         experiment.predictor(name, spacing)
     plan = plan_of(experiment.capture, spacing, warm=warm, screening=True)
+    halfway: list[Belief] = []
+
+    def after_stage(stage: Stage, solution: Solution) -> None:
+        if stage.spacing == spacing and stage.share == HALF:
+            halfway.append(solution.belief)
+
     solution, _ = fit_belief(
         experiment.capture,
         experiment.starting(belief),
@@ -93,9 +101,11 @@ def first_fit(
         problems=experiment.problems,
         warm=warm,
         plan=plan,
+        after_stage=after_stage,
     )
     compared = compared_at(experiment, solution.belief, spacing)
-    return Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
+    step = Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
+    return replace(step, halfway=halfway[0] if halfway else None)
 
 
 def discover(
@@ -189,6 +199,9 @@ def discover(
     while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         if names is not None and set(names) <= set(steps[-1].belief.effects):
             break
+        if not simple and leaves_most(steps):
+            say(f"{', '.join(steps[-1].added)}: leaves most of what was left; no further effect is tried")
+            break
         current = steps[-1]
         if screening:
             current = probed(experiment, current, coarse, report, simple=simple)
@@ -231,7 +244,9 @@ def discover(
         others = [step_of(r, spacing, (), window[0]) for r in rivals]
         last = settled(experiment, steps, step, others, report, screening=screening)
         earlier = [name for before in steps for name in before.added]
-        step = judged(pruned(experiment, last, earlier, report))
+        if simple or last.explained or not leaves_most([*steps, last]):
+            last = pruned(experiment, last, earlier, report)
+        step = judged(last)
         if not best.pays and not step.explained:
             say(f"{best.entry.effect}: does not pay on unseen frames")
             break

@@ -79,7 +79,8 @@ def _in_place_of(
     if not rivals:
         return None
     try:
-        chosen = among(experiment, replace(current, added=(name,), refits=(), warnings=()), rivals, report)
+        own = replace(current, added=(name,), ties=(), refits=(), warnings=())
+        chosen = among(experiment, own, rivals, report)
     except SimulationError:
         return None
     if chosen.added == (name,) or excess(chosen.assessment) >= excess(current.assessment):

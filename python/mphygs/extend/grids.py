@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_GRID_ERROR
+from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_EXCUSED, LARGEST_GRID_ERROR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import may_have_all
 from mphygs.extend.anew import anew
 from mphygs.extend.finer import (
     LENDS,
+    closest,
     compared_again,
     compared_by,
     finer,
@@ -20,7 +21,8 @@ from mphygs.extend.finer import (
 )
 from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.setting_in import fit_what_sets_in, placed
-from mphygs.extend.step import EXPLAINED, Step, excess, from_grid_to_grid, known_budget
+from mphygs.extend.simplest import without_loads
+from mphygs.extend.step import EXPLAINED, LARGELY, Step, excess, from_grid_to_grid, known_budget, leaves_most
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
 from mphygs.fit.places import relocated
@@ -32,6 +34,7 @@ from mphygs.fit.schedule import (
     forget,
     screening_spacing,
     simulable,
+    without_stiffest,
 )
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -40,16 +43,14 @@ from mphygs.simulate.errors import SimulationError
 # On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
 # first model, may be the grid's own: the deciding grid is asked.
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
-# An effect that leaves less than this share of the excess is asked there as well where the grid may have all
-# that is left.
-LARGELY = 0.5
 # The frames before something sets in, over those in which it was first seen.
 BEFORE = 0.85
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
 # What is left is not the grid's where it is so many times what a coarser grid shows of that, and above so
 # many sigma: less than that the floor test, which a rough share misleads, may excuse.
-BEYOND, CLEAR = 3.0, 1.5
+# Before a fit is at its end, so many times more.
+BEYOND, CLEAR, FURTHER = 3.0, 1.5, 2.0
 # A model that nearly explained the motion on a coarse grid, and on a finer one leaves so many times as much
 # and is not near the floor, has materials that were the coarse grid's.
 LEFT_BEHIND = 1.2
@@ -63,6 +64,9 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     deciding = deciding_spacing(experiment.capture)
     if last.spacing < 1.1 * deciding:
         return None
+    if leaves_most(steps) and not sets_in(last) and not without_loads(experiment):
+        # No third effect is tried: what a finer grid may have of it decides.
+        return deciding if _grid_may_have(experiment, last) else None
     # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
     label = "fit" if sets_in(last) else None
     small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
@@ -125,6 +129,9 @@ def on_grid(
     try:
         problem = experiment.problem(spacing)
         belief = simulable(problem, step.belief)
+        softer = without_stiffest(belief) if spacing < step.spacing else None
+        if softer is not None:
+            belief = closest(problem, (belief, softer))
         tell = told(report, f"{1e3 * spacing:.3g} mm")
         lender = lender_of(experiment, spacing)
         if step.since < 1.0 and sets_in(step):
@@ -136,16 +143,18 @@ def on_grid(
         if misfit > hopeless:
             say(f"{', '.join(step.added)}: given up, others leave less")
             return None
-        gross = misfit > GROSS
-        if not solution.converged and not gross:
+        beyond = misfit > GROSS or _out_of_reach(experiment, step, solution, spacing)
+        if not solution.converged and not beyond:
             left = ITERATIONS - FIRST
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=1e-3, report=tell
             )
-        if tangents and solution.evaluation.misfit <= EXPLAINED:
+        compared = experiment.compare(solution.belief, spacing, jacobian=False)
+        near = tangents and experiment.assess(compared).worst <= LARGEST_EXCUSED
+        if near and solution.evaluation.misfit <= EXPLAINED:
             # It may be concluded from: its tangents on all frames, which cost most, are asked for once.
             solution = _to_last_digits(problem, solution.belief)
-        compared = experiment.compare(solution.belief, spacing, jacobian=False)
+            compared = experiment.compare(solution.belief, spacing, jacobian=False)
         if tangents:
             compared = with_tangents(experiment, compared, solution.belief, spacing)
     except SimulationError as error:
@@ -157,6 +166,15 @@ def on_grid(
     rough = step.belief if spacing < step.spacing else None
     changes = {"spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough}
     return step.refitted(solution, compared, assessment, **changes)
+
+
+def _out_of_reach(experiment: Experiment, step: Step, solution: Solution, spacing: float) -> bool:
+    """Whether no further iteration brings a step near the floor: what it leaves on all frames is neither the
+    coarser grid's that it comes from nor this one's. Raises SimulationError."""
+    if solution.converged or not step.added or sets_in(step) or spacing >= step.spacing:
+        return False
+    worst = experiment.assess(experiment.compare(solution.belief, spacing, jacobian=False)).worst
+    return _far_beyond(step.assessment.worst, worst, step.spacing / spacing, times=FURTHER * BEYOND)
 
 
 def _to_last_digits(problem: Problem, belief: Belief) -> Solution:
@@ -324,8 +342,13 @@ def refined(
     whether others do alike, which the deciding grid tells: kinds of damping, say, differ by less than the
     error of a coarse one.
     """
-    current, hopeless = complete(experiment, steps[-1]), False
-    spacing = next_spacing(experiment, steps) if screening and not current.explained else None
+    current, hopeless, spacing = steps[-1], False, None
+    if screening and not known_budget(current) and current.assessment.worst > LARGEST_EXCUSED:
+        # No tangents will excuse it: another grid may be asked without them.
+        spacing = next_spacing(experiment, steps)
+    if spacing is None:
+        current = complete(experiment, current)
+        spacing = next_spacing(experiment, steps) if screening and not current.explained else None
     deciding = deciding_spacing(experiment.capture)
     if screening and tied and current.explained and current.spacing > 1.1 * deciding:
         spacing = deciding
@@ -333,8 +356,10 @@ def refined(
         moved = on_grid(experiment, current, spacing, report)
         if moved is not None and left_behind(current, moved):
             moved = anew(experiment, moved, report)
-        hopeless = moved is not None and _far_beyond(current, moved)
-        current = moved or current
+        hopeless = moved is not None and _far_beyond(
+            current.assessment.worst, moved.assessment.worst, current.spacing / moved.spacing
+        )
+        current = moved or complete(experiment, current)
     fine = not screening or current.spacing < 1.1 * deciding_spacing(experiment.capture)
     if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
         return current
@@ -353,9 +378,12 @@ def refined(
     return with_budget(experiment, current, report)
 
 
-def _far_beyond(coarse: Step, fine: Step) -> bool:
+def _far_beyond(coarse: float, fine: float, ratio: float, *, times: float = BEYOND) -> bool:
     """Whether what a refit on a finer grid leaves is more than a still finer one could take away: several
-    times what the error that falls with the square of the spacing would, by the two of them."""
-    change = coarse.assessment.worst - fine.assessment.worst
-    rest = max(change, 0.0) / ((coarse.spacing / fine.spacing) ** 2 - 1.0)
-    return fine.assessment.worst - BEYOND * rest > CLEAR
+    times what the error that falls with the square of the spacing would, by the two of them.
+
+    coarse, fine: misfit in the worst range on either grid [sigma]; ratio: of their spacings; times: so many
+    times that error.
+    """
+    rest = max(coarse - fine, 0.0) / (ratio**2 - 1.0)
+    return fine - times * rest > CLEAR

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.extend.finer import compared_again, lent
+from mphygs.extend.special import SPECIAL
 from mphygs.extend.step import Step
 from mphygs.extend.steps import uncertainty
 from mphygs.fit.experiment import Experiment
@@ -16,8 +17,6 @@ from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-# Effects that are another one where some of their parameters are zero: that one, and these parameters.
-SPECIAL = {"wind": ("air_drag", ("w_x", "w_y", "w_z"))}
 # In standard errors: further from zero than this, a parameter has been told from it.
 TOLD = 3.0
 ITERATIONS, REFITTED = 6, 1e-3

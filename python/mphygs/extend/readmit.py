@@ -14,12 +14,11 @@ import numpy as np
 from mphygs.compare.noise import observe
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.extend.finer import ACCURACY, compared_again, evaluated, lent
-from mphygs.extend.step import Step
+from mphygs.extend.step import FAULT, Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, still_at_minimum
 from mphygs.simulate.errors import SimulationError
 
-FAULT = "marker_outliers"
 ITERATIONS, REFITTED = 4, 1e-3
 
 

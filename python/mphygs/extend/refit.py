@@ -45,7 +45,7 @@ AT_FLOOR, NEAR_FLOOR = 1.03, 1.25
 class Refit:
     """A model with an effect added. compared: without tangents, which only the one that is kept needs; gain:
     on unseen frames over the model before; actual_drop: of chi^2 on the fitted frames, to hold against
-    entry.statistic."""
+    entry.statistic; contained_in: promising effects that are this one with more numbers, not refitted."""
 
     entry: Entry
     solution: Solution
@@ -53,6 +53,7 @@ class Refit:
     assessment: Assessment
     gain: GainInterval | None
     actual_drop: float
+    contained_in: tuple[str, ...] = ()
 
     @property
     def belief(self) -> Belief:

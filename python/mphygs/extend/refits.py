@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from mphygs.diagnose.grid_error import unabsorbed
+from mphygs.diagnose.grid_error import may_have_all, unabsorbed
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend.grids import onward
 from mphygs.extend.refit import Refit, finish_refit, start_refit
 from mphygs.extend.setting_in import fit_what_sets_in
-from mphygs.extend.settle import ALIKE
+from mphygs.extend.settle import ALIKE, RIVAL
+from mphygs.extend.special import simple_of, wider_than
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
@@ -36,6 +38,9 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
 # near the best one even then is not begun. What sets in has no tangents.
 TELLING, BEYOND_TANGENTS = 4.0, 3.0
+# Where a refit to the first frames predicts the others to LINEAR, those that leave so many times as much
+# beyond noise there are behind; what is less than the second number [of the noise's mean square] is noise.
+ASTRAY, NOISE = 10.0, 0.1
 # An effect that leaves so many times the best one's chi^2 after an iteration is not followed; one that leaves
 # so many times as much once it was followed onward is not brought to the end.
 HOPELESS, BEHIND = 10.0, 3.0
@@ -111,12 +116,82 @@ def refits_of(
     # those does any good there, a short window had the wrong ones in front.
     limit = ALIKE * begun[0][0]
     alike, behind = ([item for item in begun if (item[0] < limit) is side] for side in (True, False))
+    wider, alike = _contained(alike)
+    alike, astray = _told_by_prediction(experiment, alike, spacing, say)
+    behind = [*astray, *behind]
     found = finished(followed_onward(experiment, window[0], alike, spacing))
+    if wider:
+        if _spared(experiment, found, wider, spacing):
+            found = [replace(r, contained_in=wider_than(r.entry.effect, _effects(wider))) for r in found]
+        else:
+            found += finished(followed_onward(experiment, window[0], wider, spacing))
     if behind and not any(r.pays or r.may_pay for r in found):
         behind = behind[:FINISHED]
         say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
         found += finished(followed_onward(experiment, window[0], behind, spacing))
     return found
+
+
+def _told_by_prediction(
+    experiment: Experiment,
+    begun: Sequence[tuple[float, Entry, Solution]],
+    spacing: float,
+    say: Callable[[str], None],
+) -> tuple[list[tuple[float, Entry, Solution]], list[tuple[float, Entry, Solution]]]:
+    """Refits to the first frames that predict the others, and those that go astray there; none does where no
+    prediction is near the data. What sets in may do so once more: its prediction says little."""
+
+    def beyond(own: Experiment, item: tuple[float, Entry, Solution]) -> float:
+        """Mean square beyond noise over all fitted frames."""
+        try:
+            misfit = own.problem(spacing).evaluate(item[2].belief, jacobian=False).misfit
+        except SimulationError:
+            return np.inf
+        return max(misfit**2 - 1.0, 0.0)
+
+    smooth = [item for item in begun if item[1].kind != "threshold"]
+    if len(smooth) < 2:
+        return list(begun), []
+    left = side_by_side(experiment, beyond, smooth)
+    if min(left) > LINEAR**2 - 1.0:
+        return list(begun), []
+    limit = ASTRAY * max(min(left), NOISE)
+    astray = [item for item, value in zip(smooth, left, strict=True) if value > limit]
+    for item in astray:
+        say(f"with {item[1].label}: the other frames are far from what it predicts")
+    return [item for item in begun if not any(item is other for other in astray)], astray
+
+
+def _effects(begun: Sequence[tuple[float, Entry, Solution]]) -> list[str]:
+    return [entry.effect for _, entry, _ in begun]
+
+
+def _contained(
+    begun: Sequence[tuple[float, Entry, Solution]],
+) -> tuple[list[tuple[float, Entry, Solution]], list[tuple[float, Entry, Solution]]]:
+    """Refits whose effect is another one of them with more numbers that bring little, and the rest."""
+    left = {entry.effect: chi - fit.evaluation.data_rows for chi, entry, fit in begun}
+
+    def brings_little(item: tuple[float, Entry, Solution]) -> bool:
+        simple = simple_of(item[1].effect)
+        return simple in left and left[simple] < RIVAL * left[item[1].effect]
+
+    wider, rest = ([item for item in begun if brings_little(item) is side] for side in (True, False))
+    return wider, rest
+
+
+def _spared(
+    experiment: Experiment,
+    found: Sequence[Refit],
+    wider: Sequence[tuple[float, Entry, Solution]],
+    spacing: float,
+) -> bool:
+    """Whether effects with more numbers need no refit: what the simpler ones leave may be the grid's own,
+    which more numbers only take up."""
+    simple = [r for r in found if wider_than(r.entry.effect, _effects(wider))]
+    return len(simple) == len(wider) and all(
+        r.pays and may_have_all(experiment, spacing, r.belief, r.solution.evaluation) for r in simple
+    )
 
 
 def _far_behind(entry: Entry, ranking: Ranking, best: float) -> bool:

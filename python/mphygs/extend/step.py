@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,10 @@ from mphygs.model.belief import Belief
 
 # The error counts as explained below this many sigma on every range.
 EXPLAINED = 1.1
+# An effect that leaves less than this share of the excess explains most.
+LARGELY = 0.5
+# The fault that bad tracks are left out for: no effect of the motion.
+FAULT = "marker_outliers"
 # An effect that leaves this share of another's excess on all frames explains more; excesses that differ by
 # less than the second number [of the noise's mean square] are the same.
 CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
@@ -28,8 +32,8 @@ class Step:
     of [m], None where they are its own; beside: spacing of the coarser grid that showed the discretisation's
     share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
     coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
-    the model as it had been fitted on the coarser grid that it was brought from; warnings: what was said on
-    the way to it."""
+    the model as it had been fitted on the coarser grid that it was brought from; halfway: of a first model,
+    as it had been fitted to half the frames on this grid; warnings: what was said on the way to it."""
 
     belief: Belief
     solution: Solution
@@ -46,6 +50,7 @@ class Step:
     beside: float | None = None
     moved: Mapping[str, float] = field(default_factory=dict)
     rough: Belief | None = None
+    halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
 
     def refitted(
@@ -96,6 +101,14 @@ def excess(assessment: Assessment, label: str | None = None) -> float:
     items = [item for ranges in assessment.ratio.values() for item in ranges.items()]
     values = [value for key, value in items if label in (None, key)]
     return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
+
+
+def leaves_most(steps: Sequence[Step]) -> bool:
+    """Whether the last step, of a second effect or a later one, leaves most of what was left before it."""
+    effects = [step for step in steps if set(step.added) - {FAULT}]
+    if len(effects) < 2 or effects[-1] is not steps[-1]:
+        return False
+    return excess(steps[-1].assessment) > LARGELY * excess(steps[-2].assessment)
 
 
 def does_alike(rival: Step, best: Step, *, share: float = CLEARLY_BETTER) -> bool:

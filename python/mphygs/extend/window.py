@@ -18,6 +18,8 @@ from mphygs.model.belief import Belief
 VISIBLE = 1.25
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
 SHORTER = (0.16, 0.1, 0.06)
+# The share of the frames that a first model was fitted to on its way.
+HALF = 0.5
 # What is left is the grid's own where that may be so many times as much: of thin parts it says too much.
 OWN = 2.0
 # Of the frames of other recordings, seen from the model that explains the simplest ones.
@@ -61,7 +63,24 @@ def tractable_window(
         if ratio_of(evaluation) > VISIBLE:
             return SEEN, Solution(belief, evaluation, (evaluation.cost,), True, "seen from the simplest")
     best: tuple[float, Solution] | None = None
-    if not current.added:
+
+    def grids_own(share: float, solution: Solution) -> bool:
+        """Whether all that is left there may well be the grid's own."""
+        beyond = np.sqrt(max(ratio_of(solution.evaluation) ** 2 - 1.0, 0.0))
+        own = unabsorbed(experiment, spacing, solution.belief, solution.evaluation, share=share)
+        say(f"  beyond noise {beyond:.3g} sigma; the grid may have {own:.3g} of its own")
+        return own > OWN * beyond
+
+    if current.halfway is not None:
+        # The fit passed a window on its way.
+        evaluation = experiment.window(spacing, HALF).evaluate(current.halfway)
+        say(f"window of {HALF:.0%} of the frames: {ratio_of(evaluation):.3f} sigma")
+        passed = Solution(current.halfway, evaluation, (evaluation.cost,), True, "passed on the way")
+        if ratio_of(evaluation) < TRACTABLE:
+            if ratio_of(evaluation) > VISIBLE and not grids_own(HALF, passed):
+                return HALF, passed
+            best, belief = (HALF, passed), current.halfway
+    if not current.added and best is None:
         belief = find_scale(experiment.window(spacing, WINDOWS[0]), forget(belief))
 
     def fitted(share: float, start: Belief) -> Solution:
@@ -80,26 +99,21 @@ def tractable_window(
             evaluation = experiment.window(spacing, share).evaluate(before)
         return share, Solution(before, evaluation, (evaluation.cost,), True, "seen from before")
 
-    def grids_own(share: float, solution: Solution) -> bool:
-        """Whether all that is left there may well be the grid's own."""
-        beyond = np.sqrt(max(ratio_of(solution.evaluation) ** 2 - 1.0, 0.0))
-        own = unabsorbed(experiment, spacing, solution.belief, solution.evaluation, share=share)
-        say(f"  beyond noise {beyond:.3g} sigma; the grid may have {own:.3g} of its own")
-        return own > OWN * beyond
-
-    shortest, beyond = fitted(WINDOWS[0], belief), WINDOWS[0]
-    for share in SHORTER:
-        if ratio_of(shortest.evaluation) < TRACTABLE:
-            break
-        # Even that is far off: several swings, or a load that nothing in the model answers to.
-        beyond = WINDOWS[0] if best is None else best[0]
-        shortest = fitted(share, belief)
-        best = (share, shortest)
-    if best is not None:
-        if ratio_of(shortest.evaluation) < VISIBLE:
-            return seen_from(shortest, 0.5 * (best[0] + beyond), beyond)
-        return best
-    for share in WINDOWS:
+    shares = [share for share in WINDOWS if best is None or share > HALF]
+    if best is None:
+        shortest, beyond = fitted(WINDOWS[0], belief), WINDOWS[0]
+        for share in SHORTER:
+            if ratio_of(shortest.evaluation) < TRACTABLE:
+                break
+            # Even that is far off: several swings, or a load that nothing in the model answers to.
+            beyond = WINDOWS[0] if best is None else best[0]
+            shortest = fitted(share, belief)
+            best = (share, shortest)
+        if best is not None:
+            if ratio_of(shortest.evaluation) < VISIBLE:
+                return seen_from(shortest, 0.5 * (best[0] + beyond), beyond)
+            return best
+    for share in shares:
         solution = shortest if share == WINDOWS[0] else fitted(share, belief)
         ratio = ratio_of(solution.evaluation)
         if best is not None and ratio > TRACTABLE:

@@ -32,6 +32,8 @@ HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 # How far any part's stiffness may be from the common scale that was found: without a bound a model that
 # lacks an effect makes a part of jelly that its own weight crushes.
 CONTRAST = 40.0
+# So many times the stiffest other part: what is beyond may be a coarse grid's own.
+FAR_STIFFER = 2.0
 # How many iterations a stage takes, as far as progress is concerned.
 USUAL_ITERATIONS = 5
 # A rest shape that has to be solved for takes long where it is too soft: after so many factors in a row that
@@ -129,6 +131,25 @@ def stiffened(belief: Belief, factor: float) -> Belief:
         if p.key.endswith(".youngs_modulus"):
             belief = belief.with_parameter(p.key, value=min(max(p.value * factor, p.lower), p.upper))
     return belief
+
+
+def without_stiffest(belief: Belief) -> Belief | None:
+    """The belief with the part in which waves are fastest, where it is far stiffer than every other, as stiff
+    as the others are in the mean; None where no part is, or none of it is free.
+
+    A coarse grid hides how a thick part bends: there it may turn into stone and fit as well.
+    """
+    moduli = {name: belief[f"{name}.youngs_modulus"] for name in belief.parts}
+    if len(moduli) < 2:
+        return None
+    speed = {name: p.value / belief[f"{name}.density"].value for name, p in moduli.items()}
+    fastest = max(speed, key=speed.__getitem__)
+    others = [p.value for name, p in moduli.items() if name != fastest]
+    stiffest = moduli[fastest]
+    if not stiffest.free or stiffest.value < FAR_STIFFER * max(others):
+        return None
+    value = float(np.exp(np.mean(np.log(others))))
+    return belief.with_parameter(stiffest.key, value=min(max(value, stiffest.lower), stiffest.upper))
 
 
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
