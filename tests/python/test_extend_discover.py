@@ -23,7 +23,7 @@ from extend_example import (
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend import discover, refits, settle, window
-from mphygs.extend.grids import onward
+from mphygs.extend.met_again import onward
 from mphygs.extend.refit import Refit
 from mphygs.extend.refits import followed_onward, promising, refits_of
 from mphygs.extend.settle import settled

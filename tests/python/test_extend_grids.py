@@ -22,6 +22,7 @@ from extend_example import (
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose import grid_error
 from mphygs.extend import finer, grids
+from mphygs.extend import met_again as meeting
 from mphygs.extend import probe as probing
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
@@ -130,6 +131,35 @@ def test_a_first_model_that_the_coarse_grid_may_have_bent_is_asked_again(
     step = step_of(assessment_of(misfit, 5.0), spacing=trying(), chi_square=100.0 * misfit**2)
     found = grids.next_spacing(scene()[0], [step, replace(step, added=added)] if added else [step])
     assert found == (deciding() if asked else None)
+
+
+@pytest.mark.parametrize(
+    ("added", "left", "own", "asked"),
+    [
+        # a second effect that leaves most: only the grid could have the rest
+        ("wind", 2.5, 0.5, False),
+        ("wind", 2.5, 3.0, True),
+        # one that takes most of what was left, and what sets in
+        ("wind", 1.9, 0.5, True),
+        ("contact", 2.5, 0.5, True),
+    ],
+)
+def test_a_second_effect_that_leaves_most_is_asked_again_where_the_grid_may_have_it(
+    added: str, left: float, own: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: own)
+    steps = [
+        step_of(assessment_of(20.0), spacing=trying()),
+        step_of(assessment_of(2.8), added=("air_drag",), spacing=deciding()),
+        step_of(assessment_of(left), added=(added,), spacing=trying(), chi_square=100.0 * left**2),
+    ]
+    assert grids.next_spacing(scene()[0], steps) == (deciding() if asked else None)
+    # What the effect before left had been told to be physics.
+    budget = {"discretisation": 1e-4, "physics": 3.3e-4}
+    monkeypatch.setattr(grids, "known_budget", lambda step: bool(step.assessment.budget))
+    steps[1] = replace(steps[1], assessment=replace(steps[1].assessment, budget=budget))
+    told = asked and own < 1.0  # not by what the grid may have
+    assert grids.next_spacing(scene()[0], steps) == (deciding() if told else None)
 
 
 def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -409,7 +439,7 @@ def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyP
 
 # ---- the grid for a search --------------------------------------------------------------------
 def probe(monkeypatch: pytest.MonkeyPatch, fine: Step, coarse: Step | None) -> Step:
-    monkeypatch.setattr(probing, "on_grid", lambda _e, _s, spacing, _r: coarse)
+    monkeypatch.setattr(probing, "on_grid", lambda _e, _s, spacing, _r, **_: coarse)
     return probing.probed(scene()[0], fine, trying())
 
 
@@ -430,7 +460,7 @@ def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(
 def test_a_search_on_a_coarser_grid_begins_where_the_model_was_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, truth = scene()
     begun: list[Belief] = []
-    monkeypatch.setattr(probing, "on_grid", lambda _e, step, _s, _r: begun.append(step.belief))
+    monkeypatch.setattr(probing, "on_grid", lambda _e, step, _s, _r, **_: begun.append(step.belief))
     near, far = (truth.with_parameter(FREE[0], value=6e4 * factor) for factor in (0.99, 1.5))
     for rough, now, expected in ((near, far, near), (far, near, near), (None, far, far)):
         here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, rough=rough)
@@ -578,14 +608,14 @@ def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
         return truth.with_parameter(FREE[0], value=young["anew"])
 
     monkeypatch.setattr(type(experiment), "problem", lambda _self, _spacing: Asked())
-    monkeypatch.setattr(grids, "placed", lambda _p, belief, **_: belief)
-    monkeypatch.setattr(grids, "approached", approached)
-    monkeypatch.setattr(grids, "followed", followed)
+    monkeypatch.setattr(meeting, "placed", lambda _p, belief, **_: belief)
+    monkeypatch.setattr(meeting, "approached", approached)
+    monkeypatch.setattr(meeting, "followed", followed)
     coarse = truth.with_parameter(FREE[0], value=young["direct"])
-    found = grids._met_again(experiment, coarse, 0.5, object(), FINE)
+    found = meeting.met_again(experiment, coarse, 0.5, object(), FINE)
     assert found[FREE[0]].value == young[taken] and len(starts) == asked
     # Without a coarser grid to lend its Jacobians it begins from before.
-    assert grids._met_again(experiment, coarse, 0.5, None, FINE)[FREE[0]].value == young["anew"]
+    assert meeting.met_again(experiment, coarse, 0.5, None, FINE)[FREE[0]].value == young["anew"]
 
 
 @pytest.mark.parametrize(

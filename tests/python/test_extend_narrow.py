@@ -1,4 +1,4 @@
-"""A wind that may be none is the drag of still air."""
+"""A wind that may be none is the drag of still air, a relaxation without memory a viscosity."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, recorded
-from mphygs.extend import narrow
+from extend_example import SPACING, entry_of, recorded, solution_of
+from mphygs.diagnose.rank import Ranking
+from mphygs.extend import narrow, refits
 from mphygs.extend.discover import _conclude
 from mphygs.extend.narrow import narrowed
+from mphygs.extend.special import SHORT, without_memory
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
@@ -83,3 +85,70 @@ def test_nothing_is_asked_of_a_model_without_a_wind_or_that_explains_nothing() -
     assert narrowed(experiment, lost) is lost
     still = narrowed(experiment, step)
     assert narrowed(experiment, still) is still
+
+
+# ---- a relaxation that is over at once --------------------------------------------------------
+VISCOSITY = 15.0
+
+
+@cache
+def damped(tau: float) -> tuple[Experiment, Step]:
+    """A viscous bar, or one with a relaxation of this time [s], and the model with a relaxation, fitted."""
+    capture = bar_capture(frames=30, fps=100.0, fit=(0, 30))
+    elastic = bar_belief(capture, youngs_modulus=6e4, free=("part0.youngs_modulus",))
+    relaxing = elastic.with_effect("relaxation", {"ratio": 0.4, "tau": tau or 1e-3})
+    truth = relaxing if tau else elastic.with_effect("viscosity", {"eta": VISCOSITY})
+    experiment = Experiment.of(recorded(capture, truth), Settings(SPACING, workers=1))
+    found = minimise(experiment.problem(SPACING), experiment.starting(relaxing), iterations=12)
+    return experiment, step_at(experiment, found.belief, SPACING, added=("relaxation",))
+
+
+def test_a_relaxation_without_memory_is_a_viscosity() -> None:
+    experiment, step = damped(0.0)
+    assert step.explained and step.belief["relaxation.tau"].value < SHORT / 100.0
+    begun = without_memory(step.belief, 100.0)
+    assert begun is not None and begun["viscosity.eta"].log
+    # Q = ratio tau S': the same work on a motion that is slow beside tau.
+    assert begun["viscosity.eta"].value == pytest.approx(VISCOSITY, rel=0.5)
+    after = narrowed(experiment, step)
+    assert (after.added, after.ties) == (("viscosity",), ("relaxation",))
+    assert after.belief["viscosity.eta"].value == pytest.approx(VISCOSITY, rel=0.02)
+    # Tied with it already: it was compared.
+    assert narrowed(experiment, replace(step, ties=("viscosity",))).added == ("relaxation",)
+
+
+def test_a_relaxation_with_memory_stays() -> None:
+    experiment, step = damped(0.03)
+    assert step.explained and step.belief["relaxation.tau"].value > SHORT / 100.0
+    assert without_memory(step.belief, 100.0) is None
+    assert narrowed(experiment, step) is step
+    # Short beside the frames, and yet a viscosity explains less: it is not exchanged.
+    assert without_memory(step.belief, 10.0) is not None
+
+
+def test_a_viscosity_begins_where_a_short_relaxation_led() -> None:
+    experiment, step = damped(0.0)
+    problem = experiment.window(SPACING, 1.0)
+    relaxing = entry_of("relaxation", 1e4), step.solution
+    weak = step.belief.without_effect("relaxation").with_effect("viscosity", {"eta": 0.1})
+    alone = problem.evaluate(weak, jacobian=False)
+    viscous = entry_of("viscosity", 1e3)
+    begun = [
+        (step.solution.evaluation.chi_square, *relaxing),
+        (alone.chi_square, viscous, solution_of(weak, alone)),
+    ]
+    ranking = Ranking((relaxing[0], viscous), 1e6, alone.data_rows, None)
+    said: list[str] = []
+    found = refits._with_limits(experiment, begun, ranking, 1.0, SPACING, said.append)
+    by_name = {entry.effect: (chi_square, fit) for chi_square, entry, fit in found}
+    assert len(found) == 2 and len(said) == 1
+    chi_square, fit = by_name["viscosity"]
+    assert alone.misfit > 1.5 and fit.evaluation.misfit < 1.1
+    assert chi_square == fit.evaluation.chi_square
+    assert fit.belief["viscosity.eta"].value == pytest.approx(VISCOSITY, rel=0.1)
+    # One that is there already and leaves less stays; none is begun that may not be added.
+    less = [found[0], (0.0, *found[1][1:])]
+    again = refits._with_limits(experiment, less, ranking, 1.0, SPACING, said.append)
+    assert {chi_square for chi_square, _, _ in again} == {found[0][0], 0.0}
+    only = replace(ranking, entries=(relaxing[0],))
+    assert refits._with_limits(experiment, begun[:1], only, 1.0, SPACING, said.append) == begun[:1]

@@ -3,6 +3,7 @@
 from extend_example import assessment_of, refit_of
 from mphygs.extend.refit import Refit
 from mphygs.extend.settle import MAY_BE_THE_GRIDS, RIVALS, choose
+from mphygs.extend.step import EXPLAINED
 
 
 def left(*ratios: float) -> Refit:
@@ -10,8 +11,11 @@ def left(*ratios: float) -> Refit:
 
 
 def test_what_a_coarse_grid_may_leave_of_a_right_model_is_a_rival() -> None:
-    best, near, far = left(1.02), left(MAY_BE_THE_GRIDS - 0.01), left(MAY_BE_THE_GRIDS + 0.01)
+    best, near, far = left(1.04), left(MAY_BE_THE_GRIDS - 0.01), left(MAY_BE_THE_GRIDS + 0.01)
     assert choose([far, best, near]) == (best, [near])
+    # A model at the noise says that the grid has nothing of its own here.
+    noise, explained = left(1.02), left(EXPLAINED - 0.01)
+    assert choose([near, noise, explained]) == (noise, [explained])
     # One range that no grid excuses is enough, however good the others are.
     assert choose([best, left(1.0, 1.5)]) == (best, [])
 

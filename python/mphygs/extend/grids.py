@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mphygs.compare.assess import BUDGET_FLOOR, LARGEST_EXCUSED, LARGEST_GRID_ERROR
-from mphygs.diagnose.contact_search import hold_friction, release_friction
+from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR
 from mphygs.diagnose.grid_error import may_have_all
 from mphygs.extend.anew import anew
 from mphygs.extend.finer import (
@@ -19,19 +18,17 @@ from mphygs.extend.finer import (
     lender_of,
     with_tangents,
 )
-from mphygs.extend.refit import AT_FLOOR
-from mphygs.extend.setting_in import fit_what_sets_in, placed
+from mphygs.extend.met_again import met_again
+from mphygs.extend.refit import AT_FLOOR, NEAR_FLOOR
 from mphygs.extend.simplest import without_loads
 from mphygs.extend.step import EXPLAINED, LARGELY, Step, excess, from_grid_to_grid, known_budget, leaves_most
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
+from mphygs.fit.levenberg_marquardt import Solution, minimise, told
 from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import (
     deciding_spacing,
     default_spacing,
-    find_scale,
-    forget,
     screening_spacing,
     simulable,
     without_stiffest,
@@ -43,19 +40,17 @@ from mphygs.simulate.errors import SimulationError
 # On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
 # first model, may be the grid's own: the deciding grid is asked.
 GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
-# The frames before something sets in, over those in which it was first seen.
-BEFORE = 0.85
 # Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
 ITERATIONS, FIRST = 8, 3
 # What is left is not the grid's where it is so many times what a coarser grid shows of that, and above so
-# many sigma: less than that the floor test, which a rough share misleads, may excuse.
-# Before a fit is at its end, so many times more.
+# many sigma: less than that the floor test, which a rough share misleads, may excuse. Before a fit is at its
+# end so many times more.
 BEYOND, CLEAR, FURTHER = 3.0, 1.5, 2.0
 # A model that nearly explained the motion on a coarse grid, and on a finer one leaves so many times as much
 # and is not near the floor, has materials that were the coarse grid's.
 LEFT_BEHIND = 1.2
-# Share of the cost that the last step of what is concluded may promise.
-LAST_DIGITS = 1e-5
+# Share of the cost that the last step of what is concluded may promise, and of what is not near the floor.
+LAST_DIGITS, ROUGHLY = 1e-5, 1e-2
 
 
 def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
@@ -66,7 +61,7 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
         return None
     if leaves_most(steps) and not sets_in(last) and not without_loads(experiment):
         # No third effect is tried: what a finer grid may have of it decides.
-        return deciding if _grid_may_have(experiment, last) else None
+        return deciding if not _physics(steps[-2]) and _grid_may_have(experiment, last) else None
     # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
     label = "fit" if sets_in(last) else None
     small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
@@ -81,6 +76,12 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     return deciding if fell and _grid_may_have(experiment, last) else None
 
 
+def _physics(step: Step) -> bool:
+    """Whether a step's budget, where it is known, says that what it leaves is not the grid's."""
+    budget = step.assessment.budget
+    return known_budget(step) and budget["physics"] > BEYOND * budget["discretisation"]
+
+
 def _grid_may_have(experiment: Experiment, step: Step) -> bool:
     return may_have_all(experiment, step.spacing, step.belief, step.solution.evaluation)
 
@@ -88,17 +89,6 @@ def _grid_may_have(experiment: Experiment, step: Step) -> bool:
 def sets_in(step: Step) -> bool:
     """Whether the last effect of a step is one that sets in at some moment: a wall, yielding."""
     return any(effect(name).kind == "threshold" for name in step.added)
-
-
-def onward(share: float, kind: str) -> list[float]:
-    """Shares of the frames on the way from a window to all of them; what sets in at some moment (a threshold)
-    is followed in smaller steps."""
-    shares = []
-    while share < 1.0:
-        share = min(2.0 * share, 0.5 * (1.0 + share)) if kind == "threshold" else 2.0 * share
-        shares.append(1.0 if share > 0.8 else share)
-        share = shares[-1]
-    return shares
 
 
 def left_behind(coarse: Step, fine: Step) -> bool:
@@ -135,7 +125,7 @@ def on_grid(
         tell = told(report, f"{1e3 * spacing:.3g} mm")
         lender = lender_of(experiment, spacing)
         if step.since < 1.0 and sets_in(step):
-            belief = _met_again(experiment, belief, step.since, lender, spacing, tell)
+            belief = met_again(experiment, belief, step.since, lender, spacing, tell)
         solution = minimise(
             problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
         )
@@ -145,9 +135,9 @@ def on_grid(
             return None
         beyond = misfit > GROSS or _out_of_reach(experiment, step, solution, spacing)
         if not solution.converged and not beyond:
-            left = ITERATIONS - FIRST
+            left, accuracy = ITERATIONS - FIRST, 1e-3 if misfit < NEAR_FLOOR else ROUGHLY
             solution = minimise(
-                problem, solution.belief, iterations=left, relative_tolerance=1e-3, report=tell
+                problem, solution.belief, iterations=left, relative_tolerance=accuracy, report=tell
             )
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
         near = tangents and experiment.assess(compared).worst <= LARGEST_EXCUSED
@@ -180,76 +170,6 @@ def _out_of_reach(experiment: Experiment, step: Step, solution: Solution, spacin
 def _to_last_digits(problem: Problem, belief: Belief) -> Solution:
     """The fit at the minimum, to a small share of the standard errors; refits stop short of it."""
     return minimise(problem, belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)
-
-
-def _met_again(
-    experiment: Experiment,
-    belief: Belief,
-    since: float,
-    lender: Problem | None,
-    spacing: float,
-    tell: Callable[[int, object, object], None] | None = None,
-) -> Belief:
-    """The belief with what sets in, from what a coarser grid made of it where that fits here as well, else
-    from before it (see `followed`), whichever fits better."""
-    problem, direct = experiment.problem(spacing), None
-    if lender is not None:
-        try:
-            direct = approached(problem, lender, placed(problem, belief, lender=lender), report=tell)
-            reached = problem.evaluate(direct, jacobian=False)
-            if reached.misfit <= BUDGET_FLOOR:
-                return direct
-        except SimulationError:
-            direct = None
-    anew = followed(experiment, belief, since, spacing, tell)
-    if direct is None:
-        return anew
-    try:
-        anew = approached(problem, lender, anew, report=tell)
-        better = problem.evaluate(anew, jacobian=False).cost < reached.cost
-    except SimulationError:
-        better = False
-    return anew if better else direct
-
-
-def followed(
-    experiment: Experiment,
-    belief: Belief,
-    since: float,
-    spacing: float,
-    tell: Callable[[int, object, object], None] | None = None,
-) -> Belief:
-    """The belief with what sets in at a share `since` of the frames, refitted from before that moment onward.
-
-    The materials begin anew from the frames before: those found without the effect are those that bent the
-    motion most, and what an impact sets swinging, seen thirty times a second, has many such minima.
-    """
-
-    def window(share: float, start: Belief, iterations: int, *, far: bool = False) -> Belief:
-        problem = experiment.window(spacing, share)
-        # Far from the minimum a step of the coarse grid may lead to where that grid carries nothing.
-        lender = None if far else lender_of(experiment, spacing, share)
-        return fit_what_sets_in(problem, start, iterations=iterations, lender=lender, report=tell).belief
-
-    belief = hold_friction(belief)
-    before = [BEFORE * share * since for share in (0.5, 1.0)]
-    try:
-        # There nothing has set in, and what will is left out: it could only be in the way.
-        anew = forget(belief)
-        for name in belief.effects:
-            if effect(name).kind == "threshold":
-                anew = anew.without_effect(name)
-        anew = find_scale(experiment.window(spacing, before[0]), anew)
-        for share in before:
-            anew = window(share, anew, ITERATIONS, far=True)
-        for p in anew.parameters:
-            belief = belief.with_parameter(p.key, value=p.value, lower=p.lower, upper=p.upper)
-    except SimulationError:
-        pass  # from what the coarser grid had
-    belief = release_friction(window(since, belief, ITERATIONS // 2))
-    for share in [since, *onward(since, "threshold")][1:-1]:
-        belief = window(share, belief, ITERATIONS // 2)
-    return belief
 
 
 def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
@@ -366,8 +286,7 @@ def refined(
     if screening and current.assessment.worst > CLEAR:
         # What a coarser grid shows of it, at a tenth of the work, may say that it is far too little.
         rough = with_budget(experiment, current, beside=screening_spacing(experiment.capture))
-        budget = rough.assessment.budget
-        if known_budget(rough) and budget["physics"] > BEYOND * budget["discretisation"]:
+        if _physics(rough):
             told_budget(rough, report)
             return rough
     small = excess(current.assessment) < EXPLAINED_ON_COARSE * excess(steps[0].assessment)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.extend.finer import compared_again, lent
-from mphygs.extend.special import SPECIAL
-from mphygs.extend.step import Step
+from mphygs.extend.special import LIMITS, SPECIAL, without_memory
+from mphygs.extend.step import Step, does_alike
 from mphygs.extend.steps import uncertainty
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -31,13 +31,18 @@ def narrowed(experiment: Experiment, step: Step, report: Callable[[str], None] |
     """
     if not step.explained:
         return step
-    for wide, (simple, further) in SPECIAL.items():
+    wider = {wide: simple for wide, (simple, _) in SPECIAL.items()} | LIMITS
+    for wide, simple in wider.items():
         effects = step.belief.effects
-        if wide not in effects or simple in effects:
+        known = {*step.ties, *effects} if wide in LIMITS else effects
+        if wide not in effects or simple in known:
             continue
-        after = _with(experiment, step, wide, simple, report)
-        if after is None or not after.explained:
-            if _untold(experiment, step, wide, further):
+        belief = _narrower(experiment, step.belief, wide, simple)
+        if belief is None:
+            continue
+        after = _with(experiment, step, belief, wide, simple, report)
+        if after is None or not after.explained or wide in LIMITS and not does_alike(after, step):
+            if wide in SPECIAL and _untold(experiment, step, wide, SPECIAL[wide][1]):
                 step = replace(step, ties=tuple(dict.fromkeys((*step.ties, simple))))
             continue
         if report:
@@ -58,9 +63,14 @@ def _untold(experiment: Experiment, step: Step, name: str, further: tuple[str, .
 
 
 def _with(
-    experiment: Experiment, step: Step, wide: str, simple: str, report: Callable[[str], None] | None
+    experiment: Experiment,
+    step: Step,
+    belief: Belief,
+    wide: str,
+    simple: str,
+    report: Callable[[str], None] | None,
 ) -> Step | None:
-    """The step with `simple` in the place of `wide`, None where that cannot be simulated."""
+    """The step with `simple` in the place of `wide`, from a belief that has it; None where it is unstable."""
     ties = tuple(name for name in (wide, *step.ties) if name != simple)
     added = tuple(simple if name == wide else name for name in step.added)
     changes = {
@@ -68,7 +78,6 @@ def _with(
         "ties": tuple(dict.fromkeys(ties)),
         "dropped": (*step.dropped, wide),
     }
-    belief = _narrower(step.belief, wide, simple)
     try:
         if step.lender is not None:
             begun = replace(step, belief=belief)
@@ -86,8 +95,11 @@ def _with(
     return step.refitted(solution, compared, experiment.assess(compared), **changes)
 
 
-def _narrower(belief: Belief, wide: str, simple: str) -> Belief:
-    """The belief with `simple` in the place of `wide`, its parameters where those of the same name were."""
+def _narrower(experiment: Experiment, belief: Belief, wide: str, simple: str) -> Belief | None:
+    """The belief with `simple` in the place of `wide`, its parameters where those of the same name were; None
+    where it is no limit of it there."""
+    if wide in LIMITS:
+        return without_memory(belief, experiment.capture.sequence(next(iter(experiment.fitted))).fps)
     found = {p.key.rsplit(".", 1)[1]: p.value for p in belief.parameters if p.key.startswith(f"{wide}.")}
     kept = {p.name: found[p.name] for p in effect(simple).parameters if p.name in found}
     return belief.without_effect(wide).with_effect(simple, kept)

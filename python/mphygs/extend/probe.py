@@ -42,7 +42,7 @@ def probed(
         except SimulationError:
             return step
         return coarse if coarse and explains(coarse, simple) else step
-    coarse = on_grid(experiment, _as_it_was(experiment, step, spacing), spacing, report)
+    coarse = on_grid(experiment, _as_it_was(experiment, step, spacing), spacing, report, tangents=False)
     if coarse is None or coarse.assessment.worst > SAME_MISFIT * step.assessment.worst:
         return step
     return coarse

@@ -20,7 +20,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
 from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
-from mphygs.model.belief import Belief
+from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.scope import in_scope
 
@@ -110,13 +110,18 @@ def _scaled(entry: Entry, start: Belief, belief: Belief, strength: float) -> Bel
         if p.key in fitted:
             # What was fitted stays where the fit left it; a wall may be where only a softer object meets it.
             p = p if entry.kind == "threshold" else replace(p, value=fitted[p.key])
-        elif p.free and not p.log and p.lower == 0.0 and not math.isfinite(p.prior_std):
-            # A strength that cannot be negative is fitted in its logarithm: far from the data a linear step
-            # overshoots by orders of magnitude.
-            lower = 1e-6 * p.scale
-            p = replace(p, log=True, lower=lower, value=max(p.value, 1e-2 * p.scale))
+        else:
+            p = in_logarithm(p)
         parameters.append(p)
     return replace(out, parameters=tuple(parameters))
+
+
+def in_logarithm(p: Parameter) -> Parameter:
+    """A free strength that cannot be negative, to be fitted in its logarithm: far from the data a linear step
+    overshoots by orders of magnitude. Any other parameter as it is."""
+    if not p.free or p.log or p.lower != 0.0 or math.isfinite(p.prior_std):
+        return p
+    return replace(p, log=True, lower=1e-6 * p.scale, value=max(p.value, 1e-2 * p.scale))
 
 
 def start_refit(
@@ -232,12 +237,14 @@ def finish_refit(
     iterations: int = 10,
     accuracy: float = 1e-4,
     hopeless: float = math.inf,
+    anew: bool = True,
     report: Callable[[str], None] | None = None,
 ) -> Refit | None:
     """Bring a refit that was begun to its minimum and judge it.
 
     accuracy: share of the cost that a last step may promise; hopeless: chi^2 above which it is given up after
-    three iterations. None where it is, or where its motion cannot be simulated.
+    three iterations; anew: whether materials may begin from the start near the floor. None where it is given
+    up, or where its motion cannot be simulated.
     """
     problem = experiment.problem(spacing)
     tell = told(report, f"with {entry.effect}")
@@ -256,7 +263,7 @@ def finish_refit(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
             )
         near = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
-        if entry.kind != "threshold" and near:
+        if anew and near and entry.kind != "threshold":
             if not may_have_all(experiment, spacing, solution.belief, solution.evaluation):
                 solution = fitted_anew(experiment, solution, spacing, report)
         # Materials first: a place that makes up for theirs is hard to leave.

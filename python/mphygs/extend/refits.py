@@ -9,14 +9,14 @@ import numpy as np
 
 from mphygs.diagnose.grid_error import may_have_all, unabsorbed
 from mphygs.diagnose.rank import Entry, Ranking
-from mphygs.extend.grids import onward
-from mphygs.extend.refit import Refit, finish_refit, start_refit
+from mphygs.extend.met_again import onward
+from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
 from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.settle import ALIKE, RIVAL
-from mphygs.extend.special import simple_of, wider_than
+from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, without_memory
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
@@ -105,6 +105,7 @@ def refits_of(
         for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
             if solution is not None:
                 begun.append((solution.evaluation.chi_square, entry, solution))
+    begun = _with_limits(experiment, begun, ranking, window[0], spacing, say)
     begun.sort(key=lambda item: item[0])
 
     def finished(of: Sequence[tuple[float, Entry, Solution]]) -> list[Refit]:
@@ -130,6 +131,37 @@ def refits_of(
         say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
         found += finished(followed_onward(experiment, window[0], behind, spacing))
     return found
+
+
+def _with_limits(
+    experiment: Experiment,
+    begun: Sequence[tuple[float, Entry, Solution]],
+    ranking: Ranking,
+    share: float,
+    spacing: float,
+    say: Callable[[str], None],
+) -> list[tuple[float, Entry, Solution]]:
+    """The refits, with a viscosity begun where a relaxation led that is over in a short time: alone it may be
+    far from its strength yet."""
+    led = next((fit.belief for _, entry, fit in begun if entry.effect == "relaxation"), None)
+    entry = next((e for e in ranking.entries if e.effect == LIMITS["relaxation"]), None)
+    if led is None or entry is None:
+        return list(begun)
+    fps = experiment.capture.sequence(next(iter(experiment.fitted))).fps
+    start = without_memory(led, fps, short=SHORT_ENOUGH)
+    if start is None:
+        return list(begun)
+    try:
+        problem = experiment.window(spacing, share)
+        fit = minimise(problem, start, iterations=FIRST, relative_tolerance=1e-3)
+    except SimulationError:
+        return list(begun)
+    own = next((chi_square for chi_square, e, _ in begun if e is entry), np.inf)
+    say(f"{entry.effect} from the relaxation, whose time is short: {fit.evaluation.misfit:.3f} sigma")
+    if fit.evaluation.chi_square >= own:
+        return list(begun)
+    rest = [item for item in begun if item[1] is not entry]
+    return [*rest, (fit.evaluation.chi_square, entry, fit)]
 
 
 def _told_by_prediction(
@@ -230,6 +262,7 @@ def _finished(
             generator=generator,
             accuracy=SCREENING_ACCURACY,
             hopeless=_hopeless(experiment, finished, spacing),
+            anew=not any(r.pays and r.assessment.worst <= AT_FLOOR for r in finished),
             report=say,
         )
         if result is not None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from mphygs.extend.finer import carried_over, closest, lent, less_the_change
 from mphygs.extend.grids import complete, on_grid, refined
-from mphygs.extend.refit import Refit
+from mphygs.extend.refit import AT_FLOOR, Refit
 from mphygs.extend.special import simple_of, wider_than
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
@@ -29,7 +29,9 @@ def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
     ordered = sorted(refits, key=lambda r: excess(r.assessment))
     best = ordered[0]
     limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
-    near = [r for r in ordered[1:] if excess(r.assessment) < limit or r.assessment.worst <= MAY_BE_THE_GRIDS]
+    # Where one model is at the noise, the grid has nothing of its own.
+    grids = MAY_BE_THE_GRIDS if best.assessment.worst > AT_FLOOR else EXPLAINED
+    near = [r for r in ordered[1:] if excess(r.assessment) < limit or r.assessment.worst <= grids]
     return best, near[:RIVALS]
 
 
