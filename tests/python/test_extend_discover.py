@@ -842,6 +842,14 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
     assert begun_at(4.1) == ["air_drag", "fibre", "tether", "contact", "frame_drift"]
 
 
+@pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])
+def test_less_is_hoped_for_where_one_is_at_the_noise(best: float, behind: bool) -> None:
+    """3 sigma of 1000 rows; an effect that promises 3000 has to bring nearly three times as much."""
+    ranking = replace(ranking_of(), chi_square=1e4, rows=1000)
+    assert refits._far_behind(entry_of("gravity", 3e3), ranking, best) is behind
+    assert not refits._far_behind(entry_of("gravity", 4.5e3), ranking, best)
+
+
 # ---- which effects are kept -------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("left", "adequate", "kept"), [(0.75, False, True), (0.85, False, False), (0.85, True, True)]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.diagnose.grid_error import may_have_all, unabsorbed
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend.met_again import onward
@@ -35,9 +36,10 @@ SIGNIFICANT = 1e-3
 # that do nothing; so many of the best where none takes its share.
 LINEAR, NEAR_BEST, LAST_RESORT = 2.0, 0.2, 2
 WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
-# Up to so many sigma an effect may bring so many times what its tangents promise; one that would not come
-# near the best one even then is not begun. What sets in has no tangents.
-TELLING, BEYOND_TANGENTS = 4.0, 3.0
+# Up to so many sigma an effect may bring so many times what its tangents promise, fewer times where the best
+# one is at the noise; one that would not come near the best one even then is not begun. What sets in has no
+# tangents.
+TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
 # Where a refit to the first frames predicts the others to LINEAR, those that leave so many times as much
 # beyond noise there are behind; what is less than the second number [of the noise's mean square] is noise.
 ASTRAY, NOISE = 10.0, 0.1
@@ -228,7 +230,8 @@ def _spared(
 
 def _far_behind(entry: Entry, ranking: Ranking, best: float) -> bool:
     """Whether an entry stays behind a chi^2 that is reached even if it brings many times its promise."""
-    least = ranking.chi_square - BEYOND_TANGENTS * entry.statistic
+    times = BEYOND_TANGENTS if best > BUDGET_FLOOR * ranking.rows else BEYOND_NOISE
+    least = ranking.chi_square - times * entry.statistic
     telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
     return telling and least > ALIKE * best
 
