@@ -245,6 +245,32 @@ def test_a_window_that_the_first_fit_passed_is_not_fitted_again(
         assert fits[0] == 0.25
 
 
+def test_a_model_that_is_far_off_from_the_start_is_seen_from_softer_materials() -> None:
+    costs = {3e4: 9.0, 1e5: 5.0, 3.2e5: 4.9, 1e6: 4.8, 3.2e6: 4.7}
+
+    def evaluate(belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        young = belief[KEY].value
+        misfit = next((sigma for near, sigma in costs.items() if abs(young / near - 1.0) < 0.1), None)
+        if misfit is None:
+            raise SimulationError("unstable")
+        return evaluation_of(100.0 * misfit**2)
+
+    experiment = SimpleNamespace(
+        whole=(), window=lambda spacing, share: SimpleNamespace(evaluate=evaluate)
+    )
+    usual = plain_belief().with_parameter(KEY, value=3e6, prior_mean=np.log(1e5), prior_std=2.0)
+
+    def others(misfit: float, belief: Belief = usual) -> list[float]:
+        solution = solution_of(belief, evaluation_of(100.0 * misfit**2))
+        found = window.at_other_scales(experiment, (0.06, solution), SPACING)
+        return [s.belief[KEY].value for s in found]
+
+    # The softest that cost at most twice the least: at 30 kPa it is four times as much.
+    assert others(4.5) == pytest.approx([1e5, 10**5.5, 1e6])
+    # Near enough, or an effect is in the model: what was fitted says something.
+    assert others(3.9) == [] and others(4.5, usual.with_effect("viscosity")) == []
+
+
 def test_other_recordings_are_seen_from_the_model_of_the_simplest(fits: list[float]) -> None:
     # The explained ones take no part in the misfit, be it the noise's own or more.
     for others in (1.0, 30.0):
@@ -842,6 +868,40 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
     assert begun_at(4.1) == ["air_drag", "fibre", "tether", "contact", "frame_drift"]
 
 
+def test_refits_begin_from_other_materials_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    there, here = (plain_belief().with_parameter(KEY, value=value) for value in (1e5, 3e6))
+    chi_squares = {("gravity", 3e6): 800.0, ("gravity", 1e5): 300.0}
+    chi_squares |= {("wind", 3e6): 400.0, ("tether", 1e5): 500.0}
+    asked: list[tuple[str, float]] = []
+    finished: dict[str, float] = {}
+
+    def start_refit(_e: object, before: Solution, entry: Entry, *_: object, **__: object) -> Solution | None:
+        asked.append((entry.effect, before.belief[KEY].value))
+        chi_square = chi_squares[asked[-1]]
+        return solution_of(before.belief, evaluation_of(chi_square)) if chi_square < 600.0 else None
+
+    def finish_refit(
+        _e: object, _b: object, _c: object, entry: Entry, begun: Solution, *_: object, **__: object
+    ) -> None:
+        finished[entry.effect] = begun.belief[KEY].value
+
+    monkeypatch.setattr(refits, "start_refit", start_refit)
+    monkeypatch.setattr(refits, "finish_refit", finish_refit)
+    ranking, other = ranking_of(entry_of("gravity", 2e4), entry_of("wind", 1e4)), ranking_of(
+        entry_of("tether", 2e4), entry_of("gravity", 1e4)
+    )
+    beside = solution_of(there, evaluation_of(2e4)), other
+    first = 1.0, solution_of(here, evaluation_of(2e4))
+    current = step_of(assessment_of(9.0))
+    refits_of(ALONE, current, first, ranking, SPACING, None, lambda _text: None, beside=beside)
+    assert sorted(asked) == sorted(chi_squares)
+    # Each from where it leaves less, or can be simulated at all.
+    assert finished == {"gravity": 1e5, "wind": 3e6, "tether": 1e5}
+    asked.clear()
+    refits_of(ALONE, current, first, ranking, SPACING, None, lambda _text: None)
+    assert asked == [("gravity", 3e6), ("wind", 3e6)]
+
+
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])
 def test_less_is_hoped_for_where_one_is_at_the_noise(best: float, behind: bool) -> None:
     """3 sigma of 1000 rows; an effect that promises 3000 has to bring nearly three times as much."""
@@ -865,7 +925,7 @@ def test_what_explains_too_little_is_not_kept(
     pays = SimpleNamespace(pays=True, surprising=False, entry=SimpleNamespace(effect="fibre"))
     rounds: list[int] = []
 
-    def refits_of(*_: object) -> list[object]:
+    def refits_of(*_: object, **__: object) -> list[object]:
         rounds.append(1)
         return [pays] if len(rounds) == 1 else []
 
@@ -919,7 +979,7 @@ def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
     monkeypatch.setattr(discover, "tractable_window", tractable_window)
     monkeypatch.setattr(discover, "allowance_of", lambda *_, **__: None)
     monkeypatch.setattr(discover, "rank", lambda *_, **__: ranking_of())
-    monkeypatch.setattr(discover, "refits_of", lambda *_: [])
+    monkeypatch.setattr(discover, "refits_of", lambda *_, **__: [])
     monkeypatch.setattr(discover, "refined", lambda _e, steps, *_, **__: steps[-1])
     monkeypatch.setattr(discover, "reconciled", lambda _e, step, _r: step)
     monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)

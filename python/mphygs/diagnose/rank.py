@@ -130,12 +130,13 @@ def rank(
     generator: np.random.Generator,
     names: Sequence[str] | None = None,
     allowance: Allowance | None = None,
+    trials: bool = True,
     report: Callable[[str], None] | None = None,
 ) -> Ranking:
     """Rank all effects and faults that the model does not have.
 
     evaluation: of the fit at `belief` and `spacing` to the first `share` of the frames, with Jacobian.
-    names: effects to consider (None: all).
+    names: effects to consider (None: all); trials: whether thresholds and the like are tried too.
     """
     problem = experiment.window(spacing, share)
     rows = evaluation.data_rows
@@ -194,10 +195,12 @@ def rank(
     for name, (way, score) in best.items():
         entry = _entry(name, way, score, table, family, names_of, belief, rows)
         entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
-    trials = _trials(
-        experiment, belief, evaluation, problem, share, full_residual, full_jacobian, generator, names, report
-    )
-    entries = _with_trials(entries, trials)
+    if trials:
+        tried = _trials(
+            experiment, belief, evaluation, problem, share, full_residual, full_jacobian, generator, names,
+            report,
+        )  # fmt: skip
+        entries = _with_trials(entries, tried)
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
     chi_square = float(residual @ residual)
     return Ranking(tuple(entries), chi_square, rows, table, decoys, decoy_statistic)

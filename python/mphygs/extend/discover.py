@@ -26,7 +26,7 @@ from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
-from mphygs.extend.window import HALF, tractable_window
+from mphygs.extend.window import HALF, at_other_scales, tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import FINE, Stage, deciding_spacing, fit_belief, plan_of, screening_spacing
@@ -224,12 +224,13 @@ def discover(
             report=report,
         )
         rankings.append(ranking)
+        beside = _beside(experiment, window, spacing, generator, names, report)
         for entry in ranking.entries[:6]:
             say(
                 f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, "
                 f"p {entry.p_value:.2g}"
             )
-        finished = refits_of(experiment, current, window, ranking, spacing, generator, say)
+        finished = refits_of(experiment, current, window, ranking, spacing, generator, say, beside=beside)
         for r in finished:
             if window[0] == 1.0 and r.surprising:
                 warnings.append(
@@ -278,6 +279,29 @@ def discover(
             steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
         steps[-1] = narrowed(experiment, steps[-1], report)
     return _conclude(steps, rankings, warnings)
+
+
+def _beside(
+    experiment: Experiment,
+    window: tuple[float, Solution],
+    spacing: float,
+    generator: np.random.Generator,
+    names: Sequence[str] | None,
+    report: Callable[[str], None] | None,
+) -> tuple[Solution, Ranking] | None:
+    """Where a first model is far off even on the first few frames: how the smooth effects rank with softer
+    materials, at the scale at which one of them promises to leave least."""
+    best: tuple[Solution, Ranking] | None = None
+    least = np.inf
+    for solution in at_other_scales(experiment, window, spacing):
+        ranking = rank(
+            experiment, solution.belief, solution.evaluation, spacing, share=window[0],
+            generator=generator.spawn(1)[0], names=names, trials=False, report=report,
+        )  # fmt: skip
+        left = ranking.chi_square - max((entry.statistic for entry in ranking.entries), default=0.0)
+        if left < least:
+            best, least = (solution, ranking), left
+    return best
 
 
 def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -> Discovery:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -83,25 +83,41 @@ def refits_of(
     spacing: float,
     generator: np.random.Generator,
     say: Callable[[str], None],
+    *,
+    beside: tuple[Solution, Ranking] | None = None,
 ) -> list[Refit]:
-    """Refits of the promising entries, those that are closest after a few iterations brought to the end."""
+    """Refits of the promising entries, those that are closest after a few iterations brought to the end.
+
+    beside: the window seen from other materials, and what ranks there: refits begin from there as well.
+    """
     begun: list[tuple[float, Entry, Solution]] = []
     # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
-    for wave in waves(promising(ranking)):
+    others = {entry.effect: entry for entry in promising(beside[1])} if beside else {}
+    for wave in waves(_with_others(promising(ranking), others)):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
         chosen = [entry for entry in wave if not _far_behind(entry, ranking, best)]
 
         def start(own: Experiment, entry: Entry, best: float = best) -> Solution | None:
-            return start_refit(
-                own,
-                window[1],
-                entry,
-                spacing,
-                share=window[0],
-                iterations=FIRST_NEAR if near else FIRST,
-                hopeless=HOPELESS * best,
-                report=say,
+            ways = [(window[1], entry)] if entry is not others.get(entry.effect) else []
+            ways += [(beside[0], others[entry.effect])] if entry.effect in others else []
+            begun = [
+                start_refit(
+                    own,
+                    before,
+                    way,
+                    spacing,
+                    share=window[0],
+                    iterations=FIRST_NEAR if near else FIRST,
+                    hopeless=HOPELESS * best,
+                    report=say,
+                )
+                for before, way in ways
+            ]
+            return min(
+                (solution for solution in begun if solution is not None),
+                key=lambda solution: solution.evaluation.chi_square,
+                default=None,
             )
 
         for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
@@ -226,6 +242,12 @@ def _spared(
     return len(simple) == len(wider) and all(
         r.pays and may_have_all(experiment, spacing, r.belief, r.solution.evaluation) for r in simple
     )
+
+
+def _with_others(entries: Sequence[Entry], others: Mapping[str, Entry]) -> list[Entry]:
+    """The entries, behind those that only other materials promise."""
+    known = {entry.effect for entry in entries}
+    return [*(entry for name, entry in others.items() if name not in known), *entries]
 
 
 def _far_behind(entry: Entry, ranking: Ranking, best: float) -> bool:

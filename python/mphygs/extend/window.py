@@ -11,13 +11,16 @@ from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import TRACTABLE, find_scale, forget
+from mphygs.fit.schedule import SCALES, TRACTABLE, find_scale, forget, stiffened
 from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 
 # Diagnosis looks at the first frames over which the misfit is between this and TRACTABLE [sigma].
 VISIBLE = 1.25
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
 SHORTER = (0.16, 0.1, 0.06)
+# Common scales at which a gross model costs up to so many times the least are looked from, so many at most.
+HARDLY_WORSE, OTHERS = 2.0, 3
 # The share of the frames that a first model was fitted to on its way.
 HALF = 0.5
 # What is left is the grid's own where that may be so many times as much: of thin parts it says too much.
@@ -35,6 +38,33 @@ def _ratio(evaluation: Evaluation, explained: Sequence[str] = ()) -> float:
 def _absurd(belief: Belief) -> bool:
     """Whether a material ended at a bound."""
     return any(p.at_bound for p in belief.free if p.log and p.key.rsplit(".", 1)[0] in belief.parts)
+
+
+def at_other_scales(experiment: Experiment, window: tuple[float, Solution], spacing: float) -> list[Solution]:
+    """Of a first model that is far off even on the first few frames: these frames seen with all parts as soft
+    as usual, at common scales that are hardly worse, the softest first. None where it is not far off.
+
+    What acts from the start on is bought with stiffness, which answers to nothing: an effect is told from
+    materials that would.
+    """
+    share, solution = window
+    if _ratio(solution.evaluation, experiment.whole) < TRACTABLE or solution.belief.terms:
+        return []
+    problem, belief = experiment.window(spacing, share), forget(solution.belief)
+    seen: list[tuple[float, Belief]] = []
+    for scale in SCALES:
+        trial = stiffened(belief, scale)
+        try:
+            seen.append((problem.evaluate(trial, jacobian=False).cost, trial))
+        except SimulationError:
+            continue
+    least = min((cost for cost, _ in seen), default=np.inf)
+    chosen = [trial for cost, trial in seen if cost <= HARDLY_WORSE * least][:OTHERS]
+    evaluations = [problem.evaluate(trial) for trial in chosen]
+    return [
+        Solution(trial, evaluation, (evaluation.cost,), True, "at another scale")
+        for trial, evaluation in zip(chosen, evaluations, strict=True)
+    ]
 
 
 def tractable_window(
