@@ -34,6 +34,7 @@ from mphygs.extend.steps import (
     step_document,
     steps_text,
 )
+from mphygs.extend.window import VISIBLE
 from mphygs.fit.__main__ import RUNS, FitOptions, fitted
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
@@ -41,6 +42,7 @@ from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
 from mphygs.fit.schedule import screening_spacing
 from mphygs.image_stages import FOLDER, has_stages, run_stages
+from mphygs.model.belief import Belief
 from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs discover"
@@ -119,8 +121,8 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     spacing = state.settings.spacing
     done = _Done(list(kept.get("steps", [])), list(kept.get("states", [])), kept.get("ranking"))
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
-    if screening:  # on one grid: the stage before the last one was half the frames
-        steps[0] = replace(steps[0], halfway=state.earlier)
+    if screening:
+        steps[0] = replace(steps[0], halfway=_halfway(state))
     if not done.documents:
         done.tell(steps[0], experiment)
         _keep(out, done, experiment)
@@ -150,6 +152,13 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     answer = _conclude(out, options, state, experiment, found, done, console)
     _keep(out, done, experiment, answer)
     return Answer(answer, _text(answer, state.capture))
+
+
+def _halfway(state: Run) -> Belief | None:
+    """The model of the first half of the frames, which a fit on one grid passes, where nothing was off in the
+    first quarter."""
+    shown = len(state.history) == 3 and state.history[0].misfit > VISIBLE
+    return None if shown else state.earlier
 
 
 @dataclass

@@ -50,6 +50,8 @@ def test_what_is_met_late_is_seen_from_the_model_of_the_frames_before(
     experiment, belief, struck = late_floor(growth, height)
     step = first_fit(experiment, belief, SPACING)
     assert step.assessment.worst > 20.0
+    # Nothing is off in the first half, which the fit has passed.
+    assert step.halfway is not None and step.halfway[FREE[0]].value == pytest.approx(YOUNG, rel=0.01)
     said: list[str] = []
     found, solution = tractable_window(experiment, step, SPACING, said.append)
     assert found == pytest.approx(share) and solution.reason == "seen from before"

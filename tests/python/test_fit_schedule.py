@@ -17,7 +17,7 @@ from mphygs.command import Console
 from mphygs.fit import checkpointed, schedule
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.run import Run, load_run
+from mphygs.fit.run import Run, StageRecord, load_run
 from mphygs.fit.schedule import (
     SCREENING_ACCURACY,
     TRACTABLE,
@@ -202,3 +202,13 @@ def test_the_loop_asks_for_a_screening_fit_unless_the_grid_is_chosen(
     with pytest.raises(SimulationError):
         discover_command.loop(options, Console(io.StringIO()))
     assert asked == [spacing is None]
+
+
+@pytest.mark.parametrize(("quarter", "passed"), [(1.2, True), (1.3, False)])
+def test_a_window_was_passed_where_nothing_was_off_before_it(quarter: float, passed: bool) -> None:
+    """Where something shows in the first quarter it is to be looked for there."""
+    misfits = {"coarse, first quarter": quarter, "coarse, first half": 2.0, "fine": 9.0}
+    history = tuple(StageRecord(name, 0.01, (), True, "", 1.0, misfit) for name, misfit in misfits.items())
+    half = bar_belief(bar_capture())
+    found = discover_command._halfway(SimpleNamespace(history=history, earlier=half))
+    assert (found is half) is passed

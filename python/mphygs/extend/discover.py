@@ -26,7 +26,7 @@ from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
-from mphygs.extend.window import HALF, at_other_scales, tractable_window
+from mphygs.extend.window import HALF, VISIBLE, at_other_scales, tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import FINE, Stage, deciding_spacing, fit_belief, plan_of, screening_spacing
@@ -85,11 +85,11 @@ def first_fit(
     for name in experiment.fitted:
         experiment.predictor(name, spacing)
     plan = plan_of(experiment.capture, spacing, warm=warm, screening=True)
-    halfway: list[Belief] = []
+    passed: dict[float, Solution] = {}
 
     def after_stage(stage: Stage, solution: Solution) -> None:
-        if stage.spacing == spacing and stage.share == HALF:
-            halfway.append(solution.belief)
+        if stage.spacing == spacing:
+            passed[stage.share] = solution
 
     solution, _ = fit_belief(
         experiment.capture,
@@ -105,7 +105,8 @@ def first_fit(
     )
     compared = compared_at(experiment, solution.belief, spacing)
     step = Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
-    return replace(step, halfway=halfway[0] if halfway else None)
+    shown = any(fit.evaluation.misfit > VISIBLE for share, fit in passed.items() if share < HALF)
+    return replace(step, halfway=passed[HALF].belief if HALF in passed and not shown else None)
 
 
 def discover(
