@@ -749,16 +749,18 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
 
 
 @pytest.mark.parametrize(
-    ("wind", "grids", "followed"),
+    ("wind", "grids", "left", "followed"),
     [
-        (109.0, True, [["air_drag", "viscosity"]]),
+        (109.0, True, 1.2, [["air_drag", "viscosity"]]),
         # More than the grid may have is left, or the numbers brought much: the wind is fitted.
-        (109.0, False, [["air_drag", "viscosity"], ["wind"]]),
-        (102.0, True, [["air_drag", "viscosity", "wind"]]),
+        (109.0, False, 1.2, [["air_drag", "viscosity"], ["wind"]]),
+        (102.0, True, 1.2, [["air_drag", "viscosity", "wind"]]),
+        # Another effect leaves noise alone.
+        (109.0, False, 1.02, [["air_drag", "viscosity"]]),
     ],
 )
 def test_more_numbers_are_not_fitted_to_what_may_be_the_grids(
-    wind: float, grids: bool, followed: list[list[str]], monkeypatch: pytest.MonkeyPatch
+    wind: float, grids: bool, left: float, followed: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chi_squares = {"air_drag": 110.0, "wind": wind, "viscosity": 115.0}
     brought: list[list[str]] = []
@@ -772,7 +774,8 @@ def test_more_numbers_are_not_fitted_to_what_may_be_the_grids(
 
     def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> Refit:
         gain = GainInterval(1.0, 0.5, 1.5, 10)
-        return replace(refit_of(gain=gain, assessment=assessment_of(1.2)), entry=entry)
+        assessment = assessment_of(left if entry.effect == "viscosity" else 1.2)
+        return replace(refit_of(gain=gain, assessment=assessment), entry=entry)
 
     for function in (start_refit, finish_refit):
         monkeypatch.setattr(refits, function.__name__, function)
@@ -786,7 +789,7 @@ def test_more_numbers_are_not_fitted_to_what_may_be_the_grids(
     found = refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
     assert brought == followed
     contained = {r.entry.effect: r.contained_in for r in found}
-    assert contained["air_drag"] == (("wind",) if len(contained) < 3 else ())
+    assert contained["air_drag"] == (("wind",) if grids and len(contained) < 3 else ())
     assert contained["viscosity"] == ()
 
 

@@ -142,7 +142,7 @@ def refits_of(
     if wider:
         if _spared(experiment, found, wider, spacing):
             found = [replace(r, contained_in=wider_than(r.entry.effect, _effects(wider))) for r in found]
-        else:
+        elif not any(_at_noise(r) for r in found):
             found += finished(followed_onward(experiment, window[0], wider, spacing))
     if behind and not any(r.pays or r.may_pay for r in found):
         behind = behind[:FINISHED]
@@ -210,6 +210,11 @@ def _told_by_prediction(
     for item in astray:
         say(f"with {item[1].label}: the other frames are far from what it predicts")
     return [item for item in begun if not any(item is other for other in astray)], astray
+
+
+def _at_noise(refit: Refit) -> bool:
+    """Whether a refit pays and leaves noise alone."""
+    return refit.pays and refit.assessment.worst <= AT_FLOOR
 
 
 def _effects(begun: Sequence[tuple[float, Entry, Solution]]) -> list[str]:
@@ -287,7 +292,7 @@ def _finished(
             generator=generator,
             accuracy=SCREENING_ACCURACY,
             hopeless=_hopeless(experiment, finished, spacing),
-            anew=not any(r.pays and r.assessment.worst <= AT_FLOOR for r in finished),
+            anew=not any(_at_noise(r) for r in finished),
             report=say,
         )
         if result is not None:
