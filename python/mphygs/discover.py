@@ -34,7 +34,7 @@ from mphygs.extend.steps import (
     step_document,
     steps_text,
 )
-from mphygs.extend.window import VISIBLE
+from mphygs.extend.window import passed_on_the_way
 from mphygs.fit.__main__ import RUNS, FitOptions, fitted
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
@@ -155,10 +155,10 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
 
 
 def _halfway(state: Run) -> Belief | None:
-    """The model of the first half of the frames, which a fit on one grid passes, where nothing was off in the
-    first quarter."""
-    shown = len(state.history) == 3 and state.history[0].misfit > VISIBLE
-    return None if shown else state.earlier
+    """The model of the first half of the frames, which a fit on one grid passes before all of them."""
+    if any(stage.spacing != state.settings.spacing for stage in state.history):
+        return None
+    return passed_on_the_way(state.earlier, [stage.misfit for stage in state.history[:-2]])
 
 
 @dataclass

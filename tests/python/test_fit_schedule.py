@@ -204,11 +204,35 @@ def test_the_loop_asks_for_a_screening_fit_unless_the_grid_is_chosen(
     assert asked == [spacing is None]
 
 
-@pytest.mark.parametrize(("quarter", "passed"), [(1.2, True), (1.3, False)])
-def test_a_window_was_passed_where_nothing_was_off_before_it(quarter: float, passed: bool) -> None:
-    """Where something shows in the first quarter it is to be looked for there."""
-    misfits = {"coarse, first quarter": quarter, "coarse, first half": 2.0, "fine": 9.0}
-    history = tuple(StageRecord(name, 0.01, (), True, "", 1.0, misfit) for name, misfit in misfits.items())
+@pytest.mark.parametrize(
+    ("quarter", "spacings", "passed"),
+    [
+        (1.2, (0.01, 0.01, 0.01), True),
+        # what shows in the first quarter is to be looked for there
+        (1.3, (0.01, 0.01, 0.01), False),
+        # on two grids all of the motion comes before the last stage
+        (1.2, (0.015, 0.015, 0.015, 0.01), False),
+    ],
+)
+def test_a_window_was_passed_where_nothing_was_off_before_it(
+    quarter: float, spacings: tuple[float, ...], passed: bool
+) -> None:
+    misfits = (quarter, 1.2, 9.0, 9.0)
+    history = tuple(
+        StageRecord("", spacing, (), True, "", 1.0, misfit)
+        for spacing, misfit in zip(spacings, misfits, strict=False)
+    )
     half = bar_belief(bar_capture())
-    found = discover_command._halfway(SimpleNamespace(history=history, earlier=half))
-    assert (found is half) is passed
+    state = SimpleNamespace(history=history, earlier=half, settings=Settings(0.01))
+    assert (discover_command._halfway(state) is half) is passed
+
+
+@pytest.mark.parametrize("default", [0.0037, 0.0041, 0.0057])
+def test_a_screening_fit_has_one_grid_whatever_the_rounding(
+    default: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """1.7 times 0.0037 m is more than 0.00629 m by a bit."""
+    monkeypatch.setattr(schedule, "default_spacing", lambda _capture: default)
+    coarse = screening_spacing(bar_capture())
+    plan = plan_of(bar_capture(), coarse, warm=False, screening=True)
+    assert [stage.spacing for stage in plan] == [coarse] * 3

@@ -26,7 +26,7 @@ from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
-from mphygs.extend.window import HALF, VISIBLE, at_other_scales, tractable_window
+from mphygs.extend.window import HALF, at_other_scales, passed_on_the_way, tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import FINE, Stage, deciding_spacing, fit_belief, plan_of, screening_spacing
@@ -105,8 +105,9 @@ def first_fit(
     )
     compared = compared_at(experiment, solution.belief, spacing)
     step = Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
-    shown = any(fit.evaluation.misfit > VISIBLE for share, fit in passed.items() if share < HALF)
-    return replace(step, halfway=passed[HALF].belief if HALF in passed and not shown else None)
+    before = [fit.evaluation.misfit for share, fit in passed.items() if share < HALF]
+    half = passed[HALF].belief if HALF in passed else None
+    return replace(step, halfway=passed_on_the_way(half, before))
 
 
 def discover(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -38,6 +38,12 @@ def _ratio(evaluation: Evaluation, explained: Sequence[str] = ()) -> float:
 def _absurd(belief: Belief) -> bool:
     """Whether a material ended at a bound."""
     return any(p.at_bound for p in belief.free if p.log and p.key.rsplit(".", 1)[0] in belief.parts)
+
+
+def passed_on_the_way(half: Belief | None, before: Iterable[float]) -> Belief | None:
+    """The model of the first half of the frames, where a fit had one and nothing showed before: what does is
+    to be looked for there. before: misfits [sigma] of the fits to fewer frames."""
+    return None if any(misfit > VISIBLE for misfit in before) else half
 
 
 def at_other_scales(experiment: Experiment, window: tuple[float, Solution], spacing: float) -> list[Solution]:

@@ -107,7 +107,8 @@ def plan_of(
 ) -> tuple[Stage, ...]:
     """The stages of a fit of a capture at a spacing [m]. screening: whether it is one of many models that are
     tried, where the grid is as coarse as that asks for."""
-    plan = stages(spacing, warm=warm, coarsest=COARSEST * default_spacing(capture))
+    # Rounded as spacings are: the coarsest grid is that of a screening fit, which has no other.
+    plan = stages(spacing, warm=warm, coarsest=round(COARSEST * default_spacing(capture), 6))
     if not screening or spacing <= FINE * deciding_spacing(capture):
         return plan
     return tuple(
