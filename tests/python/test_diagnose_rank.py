@@ -70,11 +70,11 @@ def scene() -> tuple[Experiment, Solution]:
     return experiment, minimise(experiment.problem(SPACING), belief)
 
 
-def ranked(*names: str) -> ranking.Ranking:
+def ranked(*names: str, trials: bool = True) -> ranking.Ranking:
     experiment, fitted = scene()
     return rank(
         experiment, fitted.belief, fitted.evaluation, SPACING,
-        generator=np.random.default_rng(0), names=names,
+        generator=np.random.default_rng(0), names=names, trials=trials,
     )  # fmt: skip
 
 
@@ -102,6 +102,12 @@ def test_thresholds_alone_can_be_ranked() -> None:
     assert [(entry.effect, entry.kind) for entry in found.entries] == [("plasticity", "threshold")]
     assert found.entries[0].label.startswith("yield stress")
     assert ranked("contact", "plasticity").entries[-1].kind == "threshold"
+    # Without trials they are not ranked, and what is smooth is as it was.
+    assert ranked("plasticity", trials=False).entries == ()
+    smooth, all_of_them = (ranked("gravity", "plasticity", trials=trials) for trials in (False, True))
+    assert [(e.effect, e.statistic) for e in smooth.entries] == [
+        (e.effect, e.statistic) for e in all_of_them.entries if e.effect == "gravity"
+    ]
 
 
 def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -650,6 +650,7 @@ def test_only_what_pays_sets_a_bound_for_others(
     rows = 100
     chi_squares = {"base_motion": 400.0, "relaxation": 700.0}
     bounds: dict[str, float] = {}
+    begin_anew: dict[str, bool] = {}
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect], rows))
@@ -657,7 +658,7 @@ def test_only_what_pays_sets_a_bound_for_others(
     def finish_refit(
         _e: object, _b: object, _c: object, entry: Entry, begun: Solution, *_: object, **options: object
     ) -> object:
-        bounds[entry.effect] = options["hopeless"]
+        bounds[entry.effect], begin_anew[entry.effect] = options["hopeless"], options["anew"]
         gain = GainInterval(1.0, 0.5, 1.5, 10) if pays else None
         refit = refit_of(gain=gain, chi_square=chi_squares[entry.effect], drop=1e4 if pays else 1.0)
         assert refit.pays is pays
@@ -672,6 +673,8 @@ def test_only_what_pays_sets_a_bound_for_others(
     refits_of(ALONE, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
     assert bounds["base_motion"] == np.inf
     assert bounds["relaxation"] == pytest.approx(refits.ALIKE * bound)
+    # The first one leaves noise alone: materials of others are not fitted from the start.
+    assert begin_anew == {"base_motion": True, "relaxation": not pays}
 
 
 @pytest.mark.parametrize(
@@ -713,13 +716,18 @@ def test_what_predicts_the_other_frames_is_followed(misfits: dict[str, float], b
 
 
 @pytest.mark.parametrize("pays", [True, False])
+@pytest.mark.parametrize("astray", [True, False])
 def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
-    pays: bool, monkeypatch: pytest.MonkeyPatch
+    pays: bool, astray: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first two do alike on the window, the others leave more of it."""
+    """The first two do alike on the window, the others leave more of it; astray: whether the second predicts
+    nothing of the other frames."""
+    front = 1 if astray else 2
     chi_squares = {"frame_drift": 100.0, "wind": 120.0, "base_motion": 220.0, "tether": 400.0, "fibre": 500.0}
     chi_squares["gravity"] = 600.0
-    monkeypatch.setattr(refits, "_told_by_prediction", lambda _e, begun, *_: (begun, []))
+    monkeypatch.setattr(
+        refits, "_told_by_prediction", lambda _e, begun, *_: (begun[:front], begun[front:])
+    )
     brought: list[list[str]] = []
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
@@ -743,8 +751,8 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     window = (0.25, solution_of(plain_belief(), evaluation_of(1e6)))
     ranking = ranking_of(*entries, misfit=10.0)
     found = refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
-    behind = [["base_motion", "tether", "fibre"]]
-    assert brought == [["frame_drift", "wind"], *([] if pays else behind)]
+    order = list(chi_squares)
+    assert brought == [order[:front], *([] if pays else [order[front : front + 3]])]
     assert [r.entry.effect for r in found if r.pays][0] == ("frame_drift" if pays else "base_motion")
 
 
@@ -990,6 +998,66 @@ def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
     # A loop that is resumed stops where it would have.
     found = discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
     assert found.verdict == "unknown" and len(looked) == goes_on
+
+
+@pytest.mark.parametrize(
+    ("left", "explained", "loads", "asked"),
+    [
+        (4.0, False, (), True),
+        (6.0, False, (), False),
+        # what is explained may have an effect too many, and loads are found one after the other
+        (6.0, True, (), True),
+        (6.0, False, ("a",), True),
+    ],
+)
+def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
+    left: float, explained: bool, loads: tuple[str, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second effect leaves this much of 10."""
+    steps = [step_of(excess_of(20.0)), step_of(excess_of(10.0), added=("gravity",))]
+    last = step_of(replace(excess_of(left), adequate=explained), added=("wind",))
+    pruned: list[str] = []
+    pays = SimpleNamespace(pays=True, surprising=False, entry=SimpleNamespace(effect="wind"))
+    rounds = iter([[pays]])
+    patches: dict[str, Callable] = {
+        "tractable_window": lambda *_: (1.0, steps[-1].solution), "allowance_of": lambda *_, **__: None,
+        "rank": lambda *_, **__: ranking_of(), "refits_of": lambda *_, **__: next(rounds, []),
+        "choose": lambda refits: (refits[0], []), "step_of": lambda *_: last,
+        "settled": lambda *_, **__: last, "without_loads": lambda _e: loads,
+        "pruned": lambda _e, step, *_: pruned.append(step.added[0]) or step,
+        "reconciled": lambda _e, step, _r: step, "refined": lambda _e, steps, *_, **__: steps[-1],
+        "mask_outliers": lambda *_: 0, "polished": lambda _e, step, _r: step,
+        "finely": lambda _e, step, _r: step, "with_budget": lambda _e, step, _r, **_: step,
+        "screening_spacing": lambda _c: SPACING, "anew": lambda _e, step, _r: step,
+        "exchanged": lambda *_, **__: None, "narrowed": lambda _e, step, _r: step,
+        "explains": lambda *_: False,
+    }  # fmt: skip
+    for name, function in patches.items():
+        monkeypatch.setattr(discover, name, function)
+    discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
+    assert pruned == (["wind"] if asked else [])
+
+
+def test_of_other_scales_that_is_taken_at_which_one_effect_promises_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scales = [solution_of(plain_belief(), evaluation_of(1e4)) for _ in range(3)]
+    promised = {id(scales[0]): 2e3, id(scales[1]): 7e3, id(scales[2]): 5e3}
+    by_belief = {id(solution.belief): promised[id(solution)] for solution in scales}
+
+    def rank(_e: object, belief: Belief, *_: object, trials: bool, **__: object) -> Ranking:
+        assert not trials
+        entries = entry_of("gravity", 1e2), entry_of("base_motion", by_belief[id(belief)])
+        return replace(ranking_of(*entries), chi_square=1e4)
+
+    monkeypatch.setattr(discover, "rank", rank)
+    monkeypatch.setattr(discover, "at_other_scales", lambda *_: scales)
+    generator = np.random.default_rng(0)
+    found = discover._beside(ALONE, (0.06, scales[0]), SPACING, generator, None, None)
+    assert found is not None and found[0] is scales[1]
+    assert max(entry.statistic for entry in found[1].entries) == 7e3
+    monkeypatch.setattr(discover, "at_other_scales", lambda *_: [])
+    assert discover._beside(ALONE, (0.06, scales[0]), SPACING, generator, None, None) is None
 
 
 # ---- a loop that was stopped ------------------------------------------------------------------

@@ -158,8 +158,10 @@ def test_a_second_effect_that_leaves_most_is_asked_again_where_the_grid_may_have
     budget = {"discretisation": 1e-4, "physics": 3.3e-4}
     monkeypatch.setattr(grids, "known_budget", lambda step: bool(step.assessment.budget))
     steps[1] = replace(steps[1], assessment=replace(steps[1].assessment, budget=budget))
-    told = asked and own < 1.0  # not by what the grid may have
-    assert grids.next_spacing(scene()[0], steps) == (deciding() if told else None)
+    if own > 1.0:
+        assert asked and grids.next_spacing(scene()[0], steps) is None
+    else:
+        assert grids.next_spacing(scene()[0], steps) == (deciding() if asked else None)
 
 
 def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -204,7 +206,8 @@ def test_a_step_is_refitted_on_another_grid() -> None:
         # all that a finer grid could take away leaves it far beyond the floor
         (1.3, 2.8, False, ["first"]),
         # near enough that it may
-        (1.3, 2.0, False, ["first", "rest"]),
+        (1.3, 2.0, False, ["first", "roughly"]),
+        (1.2, 2.0, False, ["first", "rest"]),
         (1.3, 2.8, True, ["first"]),
         # fitted frames at the floor: to the last digits where others are near it
         (1.05, 1.6, True, ["first", "last digits"]),
@@ -222,7 +225,8 @@ def test_a_fit_on_a_finer_grid_goes_on_where_it_may_come_near_the_floor(
         _problem: object, belief: Belief, *, iterations: int, relative_tolerance: float, **_: object
     ) -> Solution:
         last = relative_tolerance == grids.LAST_DIGITS
-        done.append("last digits" if last else "first" if iterations == grids.FIRST else "rest")
+        rest = "roughly" if relative_tolerance == grids.ROUGHLY else "rest"
+        done.append("last digits" if last else "first" if iterations == grids.FIRST else rest)
         return replace(solution_of(belief, evaluation_of(100.0 * fit**2)), converged=converged)
 
     experiment = SimpleNamespace(
@@ -243,7 +247,44 @@ def test_a_fit_on_a_finer_grid_goes_on_where_it_may_come_near_the_floor(
         for added in (("contact",), ()):
             done.clear()
             grids.on_grid(experiment, replace(step, added=added), FINE)
-            assert done == ["first", "rest"]
+            assert len(done) == 2 and done[0] == "first"
+
+
+@pytest.mark.parametrize(("spacing", "kept"), [(FINE, "softer"), (2.0 * COARSE, "as it was")])
+def test_a_part_of_stone_begins_softer_on_a_finer_grid_where_that_fits_better(
+    spacing: float, kept: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment, truth = scene()
+    stone = truth.with_parameter(FREE[0], value=50.0 * truth[FREE[0]].value)
+    begun: list[float] = []
+
+    def minimise(_problem: object, belief: Belief, **_: object) -> Solution:
+        begun.append(belief[FREE[0]].value)
+        raise SimulationError("far enough")
+
+    monkeypatch.setattr(grids, "minimise", minimise)
+    monkeypatch.setattr(grids, "without_stiffest", lambda _belief: truth)
+    step = replace(step_of(assessment_of(2.0), added=("air_drag",), spacing=COARSE), belief=stone)
+    assert grids.on_grid(experiment, step, spacing) is None
+    assert begun == [truth[FREE[0]].value if kept == "softer" else stone[FREE[0]].value]
+    # Where it fits better as it was it stays.
+    monkeypatch.setattr(grids, "without_stiffest", lambda _belief: stone)
+    grids.on_grid(experiment, replace(step, belief=truth), spacing)
+    assert begun[1:] == [truth[FREE[0]].value]
+
+
+@pytest.mark.parametrize(("worst", "tangents"), [(1.6, True), (1.7, False)])
+def test_no_tangents_are_asked_of_what_they_cannot_excuse_on_a_grid_that_is_left(
+    worst: float, tangents: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    done = step_of(assessment_of(1.0, adequate=True), added=("wind",), spacing=deciding())
+    monkeypatch.setattr(grids, "complete", lambda _e, step: asked.append(step.spacing) or step)
+    monkeypatch.setattr(grids, "on_grid", lambda *_: done)
+    first = step_of(assessment_of(20.0), spacing=trying())
+    step = step_of(assessment_of(worst), added=("wind",), spacing=trying())
+    assert grids.refined(scene()[0], [first, step], None, screening=True) is done
+    assert asked == ([trying()] if tangents else [])
 
 
 def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:

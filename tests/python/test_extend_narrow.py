@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, entry_of, recorded, solution_of
+from extend_example import SPACING, assessment_of, entry_of, recorded, solution_of
 from mphygs.diagnose.rank import Ranking
 from mphygs.extend import narrow, refits
 from mphygs.extend.discover import _conclude
@@ -19,21 +19,26 @@ from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
+from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
 
 DRAG = 60.0
+CAPTURE = bar_capture(frames=30, fps=100.0, fit=(0, 30))
+ELASTIC = bar_belief(CAPTURE, youngs_modulus=6e4, free=("part0.youngs_modulus",))
+
+
+def fitted(model: Belief, truth: Belief) -> tuple[Experiment, Step]:
+    """A bar recorded with what is true of it, and a model with one effect fitted to that."""
+    experiment = Experiment.of(recorded(CAPTURE, truth), Settings(SPACING, workers=1))
+    found = minimise(experiment.problem(SPACING), experiment.starting(model), iterations=12)
+    return experiment, step_at(experiment, found.belief, SPACING, added=model.effects)
 
 
 @cache
 def scene(wind: float) -> tuple[Experiment, Step]:
     """A bar that air slows down, flowing along y [m/s], and the model with a wind, fitted."""
-    capture = bar_capture(frames=30, fps=100.0, fit=(0, 30))
-    elastic = bar_belief(capture, youngs_modulus=6e4, free=("part0.youngs_modulus",))
-    flow = elastic.with_effect("wind", {"w_y": wind, "w_x": 0.01, "w_z": 0.01, "c_d": DRAG})
-    truth = flow if wind else elastic.with_effect("air_drag", {"c_d": DRAG})
-    experiment = Experiment.of(recorded(capture, truth), Settings(SPACING, workers=1))
-    found = minimise(experiment.problem(SPACING), experiment.starting(flow), iterations=10)
-    return experiment, step_at(experiment, found.belief, SPACING, added=("wind",))
+    flow = ELASTIC.with_effect("wind", {"w_y": wind, "w_x": 0.01, "w_z": 0.01, "c_d": DRAG})
+    return fitted(flow, flow if wind else ELASTIC.with_effect("air_drag", {"c_d": DRAG}))
 
 
 def test_still_air_is_named_and_the_wind_is_a_tie() -> None:
@@ -94,13 +99,8 @@ VISCOSITY = 15.0
 @cache
 def damped(tau: float) -> tuple[Experiment, Step]:
     """A viscous bar, or one with a relaxation of this time [s], and the model with a relaxation, fitted."""
-    capture = bar_capture(frames=30, fps=100.0, fit=(0, 30))
-    elastic = bar_belief(capture, youngs_modulus=6e4, free=("part0.youngs_modulus",))
-    relaxing = elastic.with_effect("relaxation", {"ratio": 0.4, "tau": tau or 1e-3})
-    truth = relaxing if tau else elastic.with_effect("viscosity", {"eta": VISCOSITY})
-    experiment = Experiment.of(recorded(capture, truth), Settings(SPACING, workers=1))
-    found = minimise(experiment.problem(SPACING), experiment.starting(relaxing), iterations=12)
-    return experiment, step_at(experiment, found.belief, SPACING, added=("relaxation",))
+    relaxing = ELASTIC.with_effect("relaxation", {"ratio": 0.4, "tau": tau or 1e-3})
+    return fitted(relaxing, relaxing if tau else ELASTIC.with_effect("viscosity", {"eta": VISCOSITY}))
 
 
 def test_a_relaxation_without_memory_is_a_viscosity() -> None:
@@ -122,8 +122,20 @@ def test_a_relaxation_with_memory_stays() -> None:
     assert step.explained and step.belief["relaxation.tau"].value > SHORT / 100.0
     assert without_memory(step.belief, 100.0) is None
     assert narrowed(experiment, step) is step
-    # Short beside the frames, and yet a viscosity explains less: it is not exchanged.
-    assert without_memory(step.belief, 10.0) is not None
+
+
+@pytest.mark.parametrize(("left", "exchanged"), [(1.01, True), (1.09, False)])
+def test_a_viscosity_that_explains_less_is_not_told_for_a_short_relaxation(
+    left: float, exchanged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both are explained: what the viscosity leaves beyond noise decides."""
+    experiment, step = damped(0.0)
+    viscous = without_memory(step.belief, 100.0)
+    other = replace(step, added=("viscosity",), belief=viscous, assessment=assessment_of(left))
+    assert other.explained
+    monkeypatch.setattr(narrow, "_with", lambda *_: other)
+    step = replace(step, assessment=assessment_of(1.0))
+    assert narrowed(experiment, step) is (other if exchanged else step)
 
 
 def test_a_viscosity_begins_where_a_short_relaxation_led() -> None:

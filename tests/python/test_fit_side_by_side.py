@@ -97,8 +97,13 @@ def test_a_twin_shares_what_is_not_written_to() -> None:
     again = made.twin(1).problem(SPACING).evaluate(belief)
     assert np.array_equal(known.residual, again.residual)
     assert made.twin(1).problem(SPACING).predictors["a"]._kept[0] is own._kept[0]
-    own.predict(belief, last=4)
-    assert made.twin(1).problem(SPACING).predictors["a"]._plain[0] is own._plain[0]
+    # Nor where no derivatives were asked for, by the predictor itself or a twin.
+    ran = own.predict(belief, last=4).position
+    assert own.predict(belief, last=4).position is ran
+    assert made.twin(1).problem(SPACING).predictors["a"].predict(belief, last=4).position is ran
+    own.forget()
+    anew = own.predict(belief, last=4).position
+    assert anew is not ran and np.array_equal(anew, ran)
 
 
 def test_grids_that_a_twin_needed_are_kept() -> None:

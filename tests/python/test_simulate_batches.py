@@ -194,3 +194,20 @@ def test_threads_in_a_gradient_leave_no_trace(transfer: str) -> None:
     for position, slope in seen[1:]:
         assert np.array_equal(position, seen[0][0])
         assert np.array_equal(slope, seen[0][1])
+
+
+@pytest.mark.parametrize(
+    ("name", "key"), [("gravity", "delta_g_x"), ("base_motion", "a_x"), ("mass_damping", "alpha")]
+)
+def test_the_rest_shape_is_asked_for_what_may_change_it(name: str, key: str) -> None:
+    """What it does not answer to has no slope of it, whether it is asked or not."""
+    capture = bar_capture(frames=4, fps=100.0, fit=(0, 4), rest="equilibrium")
+    belief = bar_belief(capture, youngs_modulus=6e4, free=("part0.density",), prestress="equilibrium")
+    predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float64"))
+    owner = belief.with_effect(name)
+    parameter, density = owner[f"{name}.{key}"], owner["part0.density"]
+    shape = predictor.rest_shape
+    changes = [np.abs(slope["deformation0"]).max() for slope in shape.tangent(owner, [parameter, density])]
+    assert shape.answers(owner, density) and changes[1] > 0.0
+    assert shape.answers(owner, parameter) is (name == "gravity")
+    assert bool(changes[0] > 0.0) is (name == "gravity")
