@@ -242,7 +242,9 @@ def _conclude(
     missing = None
     if found.verdict == "unknown":
         kept = [s for s in found.steps if set(s.added) <= {"marker_outliers"}][-1]
-        missing = unexplained(experiment, kept.belief, kept.spacing, seed=state.seed, report=console.say)
+        missing = unexplained(
+            experiment, kept.belief, kept.spacing, seed=state.seed, start=kept.halfway, report=console.say
+        )
     answer = {
         "steps": done.documents,
         "verdict": found.verdict,

@@ -250,6 +250,46 @@ def test_a_fit_on_a_finer_grid_goes_on_where_it_may_come_near_the_floor(
             assert len(done) == 2 and done[0] == "first"
 
 
+@pytest.mark.parametrize(
+    ("misfits", "creeps"),
+    [
+        # five more of the last two's better fall leave 1.32 sigma, and 1.21
+        ((1.41, 1.375, 1.372, 1.363), True),
+        ((1.41, 1.375, 1.371, 1.345), False),
+        # it falls well
+        ((1.43, 1.40, 1.35, 1.31), False),
+        ((1.41, 1.35, 1.345), False),
+        # near the noise it may be the grid's
+        ((1.26, 1.25, 1.245, 1.24), False),
+        # no fall is known
+        ((1.4,), False),
+    ],
+)
+def test_a_fit_creeps_that_stays_clear_of_the_noise_whatever_falls_next(
+    misfits: tuple[float, ...], creeps: bool
+) -> None:
+    evaluation = evaluation_of(100.0 * misfits[-1] ** 2)
+    history = tuple(0.5 * 100.0 * m**2 for m in misfits)
+    solution = Solution(scene()[1], evaluation, history, False, "iterations used up")
+    assert grids._creeps(solution) is creeps
+
+
+@pytest.mark.parametrize(
+    ("worst", "creeps", "out"), [(2.6, True, True), (2.6, False, False), (2.3, True, False)]
+)
+def test_a_fit_that_creeps_is_out_of_reach_sooner(
+    worst: float, creeps: bool, out: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 2.9 sigma on the coarse grid: twice what falls to 2.6 ends at 1.8, six times at 0.3."""
+    monkeypatch.setattr(grids, "_creeps", lambda _solution: creeps)
+    experiment = SimpleNamespace(
+        compare=lambda _belief, _spacing, *, jacobian: {}, assess=lambda _compared: assessment_of(1.4, worst)
+    )
+    step = step_of(assessment_of(2.9), added=("air_drag",), spacing=COARSE)
+    solution = replace(step.solution, converged=False)
+    assert grids._out_of_reach(experiment, step, solution, FINE) is out
+
+
 @pytest.mark.parametrize(("spacing", "kept"), [(FINE, "softer"), (2.0 * COARSE, "as it was")])
 def test_a_part_of_stone_begins_softer_on_a_finer_grid_where_that_fits_better(
     spacing: float, kept: str, monkeypatch: pytest.MonkeyPatch

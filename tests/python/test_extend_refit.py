@@ -322,6 +322,25 @@ def test_a_refit_near_the_floor_begins_anew_before_its_place_is_sought(
     assert done == begun
 
 
+def test_a_refit_that_hardly_falls_is_not_brought_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, before, entry, _ = scene()
+    solution, _ = begun(iterations=1)
+    compared = experiment.compare(before.belief, SPACING, jacobian=False)
+    asked: list[tuple[int, float]] = []
+    minimise = refit.minimise
+
+    def counted(*args: object, iterations: int, least: float = 0.0, **options: object) -> Solution:
+        asked.append((iterations, least))
+        return replace(minimise(*args, iterations=1, least=least, **options), converged=False)
+
+    monkeypatch.setattr(refit, "minimise", counted)
+    finish_refit(
+        experiment, before, compared, entry, solution, SPACING,
+        generator=np.random.default_rng(0), accuracy=2e-3, iterations=8, anew=False,
+    )  # fmt: skip
+    assert asked[:2] == [(3, 0.0), (5, pytest.approx(refit.BRINGS * 2e-3))]
+
+
 # ---- the gain on unseen frames ----------------------------------------------------------------
 def offset(compared: dict[str, Compared], seen: float, unseen: float) -> dict[str, Compared]:
     """The comparison with predictions off by these [m] in fitted frames and in the others."""

@@ -122,6 +122,28 @@ def test_a_gross_misfit_is_not_fitted_to_its_last_digits() -> None:
     assert minimise(Lacking(), far, gross=2.0 * np.sqrt(whole.history[0]), **tight).history == whole.history
 
 
+def test_an_iteration_that_brings_too_little_is_the_last() -> None:
+    asked: list[bool] = []
+
+    class Counting(Lacking):
+        def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+            asked.append(jacobian)
+            return super().evaluate(belief, jacobian=jacobian)
+
+    tight = {"tolerance": 1e-8, "relative_tolerance": 0.0}
+    whole = minimise(Lacking(), start(), **tight).history
+    falls = 1.0 - np.array(whole[1:]) / np.array(whole[:-1])
+    assert falls[0] > 0.1 > 1e-3 > falls[-1]
+    last = int(np.argmax(falls < 1e-3))
+    for to_end in (True, False):
+        asked.clear()
+        ended = minimise(Counting(), start(), least=1e-3, to_end=to_end, **tight)
+        assert ended.history == whole[: last + 2] and not ended.converged
+        assert "too little" in ended.reason
+        assert asked.count(True) == last + 1 + to_end
+        assert bool(np.any(ended.evaluation.jacobian)) is to_end
+
+
 def test_what_is_known_of_the_start_is_not_computed_again() -> None:
     asked: list[Belief] = []
 
@@ -177,6 +199,20 @@ def test_the_jacobians_of_a_coarser_grid_lead_near_the_minimum() -> None:
     solution = minimise(fine, start(), lender=Coarse(), **tight)
     np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-5)
     assert 0 < fine.jacobians < alone.jacobians
+
+
+def test_lent_jacobians_that_hardly_help_are_no_longer_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Astray(Lacking):
+        """Far from the truth at its best, so that every iteration brings ever less."""
+
+    def lent(leads: float) -> tuple[int, float]:
+        monkeypatch.setattr(levenberg_marquardt, "LEADS", leads)
+        lender = Coarse()
+        found = approached(Astray(), lender, start(), tolerance=1e-8, relative_tolerance=0.0)
+        return lender.jacobians, Lacking().evaluate(found).cost
+
+    (few, near), (many, best) = lent(1e-2), lent(0.0)
+    assert few < many and best <= near < 1.01 * best
 
 
 def test_a_lender_that_breaks_down_loses_nothing() -> None:

@@ -10,6 +10,7 @@ import torch
 
 from force_example import measured_problem, shaken_bar, soft_belief
 from mphygs.diagnose import force_regression
+from mphygs.diagnose import missing_force as finding
 from mphygs.diagnose.force_features import PointMotion
 from mphygs.diagnose.force_plugin import plugin_text
 from mphygs.diagnose.force_readings import nature, where
@@ -28,6 +29,7 @@ from mphygs.fit.problem import Problem
 from mphygs.model import registry, user_effect
 from mphygs.model.registry import ParameterSpec
 from mphygs.model.user_effect import load_plugin, register_effect
+from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.forced import ForcedSequence
 from mphygs.simulate.prediction import Predictor, Settings
 
@@ -111,6 +113,12 @@ def test_known_force_is_recovered_beside_a_free_stiffness() -> None:
     correlation = (weight * a * b).sum() / np.sqrt((weight * a**2).sum() * (weight * b**2).sum())
     assert correlation > 0.9
     assert where([sample_of("a", found)])[0]["part"] == "part1"
+    # From a start nearer to the truth: told of the model that it was asked of, along fewer of the frames.
+    said: list[str] = []
+    led = missing_force(problem, belief, start=truth, report=said.append)
+    assert led.before == missing.before and led.after < finding.STRAY * led.rows
+    assert all(f"{finding.STAGES[0]:.0%}" not in line for line in said)
+    assert led.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -214,6 +222,67 @@ def test_torch_sees_the_code_of_every_kind() -> None:
             "away": lambda position, place, core: position + core,
         }  # fmt: skip
         assert eval(code, scope).shape == (4, 3), kind
+
+
+@pytest.mark.parametrize(
+    ("misfits", "stages"),
+    [
+        # far off from the first frames on, or nowhere but at the end
+        ((4.0, 9.0, 9.0, 9.0), finding.STAGES),
+        ((1.0, 1.2, 2.0, 2.9), finding.STAGES[3:]),
+        ((1.0, 1.2, 4.0, 2.0), finding.STAGES[1:]),
+        # what cannot be simulated further on
+        ((1.0, None, None, None), finding.STAGES),
+    ],
+)
+def test_a_motion_is_followed_from_where_it_is_not_far_off(
+    misfits: tuple[float | None, ...], stages: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def state(_problem: object, seen: float, *_: object) -> SimpleNamespace:
+        misfit = misfits[finding.STAGES.index(seen)]
+        if misfit is None:
+            raise SimulationError("unstable")
+        return SimpleNamespace(chi_square=50 * misfit**2, residuals={"a": np.zeros(50)})
+
+    monkeypatch.setattr(finding, "_narrowed", lambda _problem, _whole, share: (None, share))
+    monkeypatch.setattr(finding, "_state", state)
+    assert finding._stages(None, {}, None, {}) == stages
+
+
+@pytest.mark.parametrize(
+    ("chi_squares", "steps"),
+    [
+        # far from noise it goes on however slowly it falls
+        ([9.0, 8.9, 8.8, 8.7], 3),
+        # 0.6 beyond noise, then 0.5
+        ([9.0, 1.6, 1.5, 1.4], 2),
+        ([9.0, 1.6, 1.3, 1.25], 3),
+        # at the noise twice
+        ([9.0, 1.04, 1.03, 1.02], 2),
+    ],
+)
+def test_a_force_is_followed_as_long_as_a_step_takes_a_good_share(
+    chi_squares: list[float], steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """chi_squares: over the rows, at the start and after each step."""
+    rows, left = 100, iter(chi_squares[1:])
+    belief = SimpleNamespace(free=(), coordinates=np.zeros(0))
+
+    def state(chi_square: float) -> SimpleNamespace:
+        residual = np.full(rows, np.sqrt(chi_square))
+        values = {"a": np.zeros((1, 1, 3))}
+        return SimpleNamespace(
+            belief=belief, residuals={"a": residual}, values=values, chi_square=rows * chi_square
+        )
+
+    said: list[str] = []
+    monkeypatch.setattr(finding, "_matrix", lambda *_: SimpleNamespace(whole=np.eye(3), exact={}))
+    monkeypatch.setattr(finding, "_gradient", lambda *_: np.zeros(3))
+    monkeypatch.setattr(finding, "_step", lambda *_: (1.0, np.zeros(3), 0.0))
+    monkeypatch.setattr(finding, "_moved", lambda *_: state(next(left)))
+    monkeypatch.setattr(finding, "_cost", lambda state, *_: state.chi_square)
+    finding._descend(None, {"a": SimpleNamespace(seen=None)}, state(chi_squares[0]), 3, 1.0, said.append)
+    assert len(said) == steps
 
 
 @pytest.mark.parametrize(("falls", "steps"), [([0.5, 0.5, 0.5, 0.5], 4), ([0.5, 0.999], 2), ([0.5, 1.5], 2)])

@@ -27,7 +27,7 @@ FINALISTS, KEPT = 16, 8
 BLOCK_FRAMES = 5
 # Times that the formula is put in place of the force, steps of its refit, and the share of the cost that a
 # step has to bring for another one.
-ROUNDS, STEPS, WORTH = 2, 4, 3e-3
+ROUNDS, STEPS, WORTH = 2, 4, 1e-2
 LARGEST_STEP = 0.7
 
 

@@ -5,13 +5,13 @@ min over f, theta: 1/2 |L^-1 (y - h(theta, f))|^2 + 1/2 lambda |f|_W^2, with lam
 in a linear model this is the projection away from what refitting absorbs.
 
 Gauss-Newton steps with the exact gradient, from the adjoint, and the Hessian of the natural modes at rest: a
-step costs a run forward and a run back. A motion that is far off is followed from its beginning.
+step costs a run forward and a run back. A motion that is far off is followed from where it is not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -29,8 +29,9 @@ STAGES = (0.3, 0.45, 0.6, 0.8, 1.0)
 ITERATIONS, STAGE_ITERATIONS = 8, 3
 # A step may promise to divide chi^2 by this much: beyond, the linear model is not to be believed.
 BOLDEST = 10.0
-# chi^2 within the first of these factors of N is good enough, beyond the second it is far.
-NEAR, STRAY = 1.05, 1.3
+# chi^2 within the first of these factors of N is good enough, beyond the second it is far. Of what is beyond
+# noise within the third a step has to take this share for another one.
+NEAR, STRAY, CLOSE, TAKES = 1.05, 1.3, 1.7, 0.3
 LARGEST_LOG_STEP = 0.7
 # Levenberg's factor on the parameters, to begin with; they are held back more where a step fails.
 DAMPING = 0.3
@@ -83,34 +84,62 @@ def missing_force(
     problem: Problem,
     belief: Belief,
     *,
+    start: Belief | None = None,
     iterations: int = ITERATIONS,
     report: Callable[[str], None] | None = None,
 ) -> MissingForce:
     """Find the force that a fitted model lacks on the frames of a problem.
 
+    start: the same model fitted to the first frames, where one is known: the force is sought from there.
     Raises SimulationError where not even the model without a force can be simulated.
     """
     say = report or (lambda _text: None)
+    begin = start or belief
     whole = {
-        name: SeenForce.of(name, problem.predictors[name], belief, problem.observations[name], span)
+        name: SeenForce.of(name, problem.predictors[name], begin, problem.observations[name], span)
         for name, span in problem.ranges.items()
     }
-    channels_at = belief
     values = {name: np.zeros(seen.basis.shape) for name, seen in whole.items()}
     state = _state(problem, whole, belief, values)
     before, rows = state.chi_square, sum(len(r) for r in state.residuals.values())
-    stages = STAGES if before > FAR**2 * rows else STAGES[-1:]
-    strength = STRONGEST
+    stages = _stages(problem, whole, begin, values) if before > FAR**2 * rows else STAGES[-1:]
+    if len(stages) > 1:
+        state = replace(state, belief=begin)
+    channels_at, strength = state.belief, STRONGEST
     for share in stages:
-        narrow = problem.narrowed(share) if share < 1.0 else problem
-        seen = {name: s.until(narrow.ranges[name][1]) for name, s in whole.items()}
+        narrow, seen = _narrowed(problem, whole, share)
         channels = {name: Channels.of(s, channels_at) for name, s in seen.items()}
         state = _state(problem, seen, state.belief, state.values)
         count = iterations if share == stages[-1] else min(iterations, STAGE_ITERATIONS)
-        state, strength = _descend(problem, channels, state, count, share, say)
+        state, strength = _descend(narrow, channels, state, count, share, say)
         channels_at = state.belief
     found = {n: Found(seen[n], state.values[n], state.motions[n], state.residuals[n]) for n in seen}
     return MissingForce(state.belief, found, before, state.chi_square, rows, strength)
+
+
+def _narrowed(
+    problem: Problem, whole: Mapping[str, SeenForce], share: float
+) -> tuple[Problem, dict[str, SeenForce]]:
+    """The first share of the frames."""
+    narrow = problem.narrowed(share) if share < 1.0 else problem
+    return narrow, {name: s.until(narrow.ranges[name][1]) for name, s in whole.items()}
+
+
+def _stages(
+    problem: Problem, whole: Mapping[str, SeenForce], belief: Belief, values: dict[str, np.ndarray]
+) -> tuple[float, ...]:
+    """Shares of the frames in which a motion is followed: from the most on which it is not far off."""
+    first = 0
+    for k, share in enumerate(STAGES[:-1]):
+        narrow, seen = _narrowed(problem, whole, share)
+        try:
+            state = _state(narrow, seen, belief, values)
+        except SimulationError:
+            break
+        if state.chi_square > FAR**2 * sum(len(r) for r in state.residuals.values()):
+            break
+        first = k
+    return STAGES[first:]
 
 
 def _state(
@@ -165,7 +194,10 @@ def _descend(
             f"missing force, {share:.0%} of the frames, step {iteration + 1}: "
             f"{np.sqrt(state.chi_square / rows):.3f} sigma (promised {np.sqrt(max(promised, 0) / rows):.3f})"
         )
-        if now < NEAR * rows and state.chi_square < NEAR * rows:
+        left = state.chi_square
+        if max(now, left) < NEAR * rows:
+            break
+        if left < CLOSE * rows and left - rows > (1.0 - TAKES) * (now - rows):
             break
     return state, strength
 

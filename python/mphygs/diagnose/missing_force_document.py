@@ -96,9 +96,12 @@ def unexplained(
     spacing: float,
     *,
     seed: int,
+    start: Belief | None = None,
     report: Callable[[str], None] | None = None,
 ) -> Unexplained | None:
     """The force that a fitted model lacks on the fitted frames, with its formula.
+
+    start: the model fitted to the first frames, where one is known.
 
     On the screening grid, where the model's is finer: what is sought is coarse; by the total-Lagrangian
     transfer, whatever the model's. None where the model cannot be simulated there, or where no force explains
@@ -109,7 +112,7 @@ def unexplained(
         experiment = replace(experiment, settings=settings, problems={}, observations={})
     problem = experiment.problem(max(spacing, screening_spacing(experiment.capture)))
     try:
-        missing = missing_force(problem, belief, report=report)
+        missing = missing_force(problem, belief, start=start, report=report)
     except SimulationError:
         return None
     if missing.explained < WORTH_TELLING:

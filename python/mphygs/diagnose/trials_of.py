@@ -13,6 +13,8 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
 
 YIELD_SHARES = (0.8, 0.6, 0.4, 0.25, 0.12)
+# The quantile that stands for the largest stress: single points at edges say too much.
+LARGEST = 0.999
 # How far a hold gives way under the object's weight, of the object's diagonal.
 YIELDING = (3e-4, 1e-3, 3e-3, 1e-2)
 # Of the mass whose weight a known load is.
@@ -28,18 +30,17 @@ class Trial:
     belief: Belief
 
 
-def largest_shear_stress(predictor: Predictor, belief: Belief, last: int) -> float:
-    """Largest von Mises stress of the base law at any quadrature point and output frame [Pa]."""
-    return float(np.quantile(predictor.von_mises(belief, last), 0.999))
-
-
 def plasticity_trials(predictor: Predictor, belief: Belief, last: int) -> list[Trial]:
-    """Yield stresses below the largest stress that the fitted elastic model reaches."""
+    """Yield stresses below the largest von Mises stress that the fitted elastic model reaches at any point
+    and frame; above what it bears at the start, where it carries its weight and does not flow."""
     if "plasticity" in belief.effects:
         return []
-    top = largest_shear_stress(predictor, belief, last)
+    stress = predictor.von_mises(belief, last)
+    top, borne = (float(np.quantile(s, LARGEST)) for s in (stress, stress[0]))
     trials = []
     for share in YIELD_SHARES:
+        if share * top <= borne:
+            break
         extended = belief.with_effect("plasticity", {"yield_stress": share * top})
         extended = extended.with_parameter(
             "plasticity.yield_stress", prior_mean=float(np.log(share * top)), prior_std=2.0

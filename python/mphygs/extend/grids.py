@@ -44,7 +44,7 @@ GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
 ITERATIONS, FIRST = 8, 3
 # What is left is not the grid's where it is so many times what a coarser grid shows of that, and above so
 # many sigma: less than that the floor test, which a rough share misleads, may excuse. Before a fit is at its
-# end so many times more.
+# end so many times more; so many times where it hardly falls any further.
 BEYOND, CLEAR, FURTHER = 3.0, 1.5, 2.0
 # A model that nearly explained the motion on a coarse grid, and on a finer one leaves so many times as much
 # and is not near the floor, has materials that were the coarse grid's.
@@ -137,8 +137,9 @@ def on_grid(
         if not solution.converged and not beyond:
             left, accuracy = ITERATIONS - FIRST, 1e-3 if misfit < NEAR_FLOOR else ROUGHLY
             solution = minimise(
-                problem, solution.belief, iterations=left, relative_tolerance=accuracy, report=tell
-            )
+                problem, solution.belief, iterations=left, relative_tolerance=accuracy, least=accuracy,
+                report=tell,
+            )  # fmt: skip
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
         near = tangents and experiment.assess(compared).worst <= LARGEST_EXCUSED
         if near and solution.evaluation.misfit <= EXPLAINED:
@@ -164,7 +165,18 @@ def _out_of_reach(experiment: Experiment, step: Step, solution: Solution, spacin
     if solution.converged or not step.added or sets_in(step) or spacing >= step.spacing:
         return False
     worst = experiment.assess(experiment.compare(solution.belief, spacing, jacobian=False)).worst
-    return _far_beyond(step.assessment.worst, worst, step.spacing / spacing, times=FURTHER * BEYOND)
+    times = FURTHER if _creeps(solution) else FURTHER * BEYOND
+    return _far_beyond(step.assessment.worst, worst, step.spacing / spacing, times=times)
+
+
+def _creeps(solution: Solution) -> bool:
+    """Whether a fit stays clear of the noise even if all further iterations bring what the better of the last
+    two brought."""
+    if len(solution.history) < 3:
+        return False
+    a, b, c = solution.history[-3:]
+    least = c - (ITERATIONS - FIRST) * max(a - b, b - c)
+    return least > NEAR_FLOOR**2 * c / solution.evaluation.misfit**2
 
 
 def _to_last_digits(problem: Problem, belief: Belief) -> Solution:

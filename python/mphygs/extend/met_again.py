@@ -18,8 +18,8 @@ from mphygs.simulate.errors import SimulationError
 
 # The frames before something sets in, over those in which it was first seen.
 BEFORE = 0.85
-# Iterations of a refit on some of the frames.
-ITERATIONS = 8
+# Iterations of a refit on some of the frames, and the share of the cost that the last may promise.
+ITERATIONS, ACCURACY = 8, 3e-3
 
 
 def onward(share: float, kind: str) -> list[float]:
@@ -80,7 +80,10 @@ def followed(
         problem = experiment.window(spacing, share)
         # Far from the minimum a step of the coarse grid may lead to where that grid carries nothing.
         lender = None if far else lender_of(experiment, spacing, share)
-        return fit_what_sets_in(problem, start, iterations=iterations, lender=lender, report=tell).belief
+        found = fit_what_sets_in(
+            problem, start, iterations=iterations, lender=lender, accuracy=ACCURACY, report=tell
+        )
+        return found.belief
 
     belief = hold_friction(belief)
     before = [BEFORE * share * since for share in (0.5, 1.0)]

@@ -39,6 +39,8 @@ SHORTEST_SUBSTEP = 0.3
 # A refit that leaves so much [sigma] is near the floor and not at it: its materials may be where a model
 # without the effect had drawn them.
 AT_FLOOR, NEAR_FLOOR = 1.03, 1.25
+# A refit ends where an iteration brings less than so many times what the last one may promise.
+BRINGS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,8 +262,9 @@ def finish_refit(
             return None
         if not solution.converged:
             solution = minimise(
-                problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy, report=tell
-            )
+                problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy,
+                least=BRINGS * accuracy, report=tell,
+            )  # fmt: skip
         near = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
         if anew and near and entry.kind != "threshold":
             if not may_have_all(experiment, spacing, solution.belief, solution.evaluation):

@@ -13,6 +13,8 @@ from mphygs.model.registry import effect
 
 # Of what sets in, alone; then of all parameters.
 ALONE, TOGETHER = 6, 3
+# Share of the cost that an iteration of the former has to bring for another one: all is fitted after it.
+BRINGS = 1e-2
 
 Report = Callable[[int, Evaluation, Belief], None]
 
@@ -39,7 +41,10 @@ def placed(
     if lender is not None:
         found = approached(problem, lender, first, iterations=ALONE, report=report)
     else:
-        found = minimise(problem, first, iterations=ALONE, relative_tolerance=1e-3, report=report).belief
+        found = minimise(
+            problem, first, iterations=ALONE, relative_tolerance=1e-3, least=BRINGS, to_end=False,
+            report=report,
+        ).belief  # fmt: skip
     for p in first.free:
         belief = belief.with_parameter(p.key, value=found[p.key].value)
     return belief
@@ -51,12 +56,14 @@ def fit_what_sets_in(
     *,
     iterations: int = TOGETHER,
     lender: Problem | None = None,
+    accuracy: float = 1e-3,
     hopeless: float = math.inf,
     report: Report | None = None,
 ) -> Solution:
     """A fit that finds first what sets in (see `placed`) and then all.
 
-    hopeless: chi^2 above which it ends after the first iteration (see `minimise`). Raises SimulationError.
+    accuracy: share of the cost that a last step may promise; hopeless: chi^2 above which it ends after the
+    first iteration (see `minimise`). Raises SimulationError.
     """
     belief = placed(problem, belief, lender=lender, report=report)
     first = 1 if math.isfinite(hopeless) else iterations
@@ -64,7 +71,7 @@ def fit_what_sets_in(
         problem,
         belief,
         iterations=first,
-        relative_tolerance=1e-3,
+        relative_tolerance=accuracy,
         lender=lender,
         hopeless=hopeless,
         report=report,
@@ -72,5 +79,5 @@ def fit_what_sets_in(
     if first == iterations or found.converged or found.evaluation.chi_square > hopeless:
         return found
     return minimise(
-        problem, found.belief, iterations=iterations - first, relative_tolerance=1e-3, report=report
+        problem, found.belief, iterations=iterations - first, relative_tolerance=accuracy, report=report
     )

@@ -120,7 +120,9 @@ def tractable_window(
         belief = find_scale(experiment.window(spacing, WINDOWS[0]), forget(belief))
 
     def fitted(share: float, start: Belief) -> Solution:
-        solution = minimise(experiment.window(spacing, share), start, iterations=8, relative_tolerance=1e-3)
+        solution = minimise(
+            experiment.window(spacing, share), start, iterations=8, relative_tolerance=1e-3, gross=TRACTABLE
+        )
         say(f"window of {share:.0%} of the frames: {ratio_of(solution.evaluation):.3f} sigma")
         return solution
 

@@ -31,6 +31,10 @@ LENT = 1e-3
 TOLERANCE, LONGEST_STEP = 0.05, 1.5
 # A gross misfit of which an iteration leaves this share is not worth another one.
 HARDLY = 0.9
+# The share of the cost that an iteration by lent Jacobians has to bring for another one: they are not so much
+# cheaper than its own where both grids take as many substeps.
+LEADS = 1e-2
+TOO_LITTLE = "an iteration brought too little"
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +196,7 @@ def approached(
     """The belief nearer to the minimum of a problem, by Jacobians of another one that are cheaper.
 
     lender: the same fit on a coarser grid: how the motion answers to the materials is much the same there,
-    and what differs the secants put right. Ends where they no longer help; a minimum is not promised.
+    and what differs the secants put right. Ends where they hardly help; a minimum is not promised.
     iterations: Jacobians of the lender. Raises SimulationError when the belief cannot be simulated.
     """
     borrowing = _Borrowing(problem, lender)
@@ -202,6 +206,8 @@ def approached(
             iterations=iterations,
             tolerance=tolerance,
             relative_tolerance=relative_tolerance,
+            least=LEADS,
+            to_end=False,
             report=report,
         )
     except SimulationError:
@@ -260,6 +266,8 @@ def minimise(
     lender: Problem | None = None,
     gross: float = np.inf,
     hopeless: float = np.inf,
+    least: float = 0.0,
+    to_end: bool = True,
     known: Evaluation | None = None,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
@@ -270,8 +278,9 @@ def minimise(
     longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
     lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
     gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; hopeless: chi^2
-    above which it ends after the first iteration, without the Jacobian there; known: the evaluation of the
-    starting belief, with its Jacobian, where it is at hand.
+    above which it ends after the first iteration, without the Jacobian there; least: share of the cost that
+    an iteration has to bring, else it is the last one, without the Jacobian unless to_end; known: the
+    evaluation of the starting belief, with its Jacobian, where it is at hand.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     if lender is not None:
@@ -335,12 +344,19 @@ def minimise(
         if iteration == 1 and reached.chi_square > hopeless:
             history.append(reached.cost)
             return Solution(belief, reached, tuple(history), False, "hopeless after an iteration")
+        little = current.cost - reached.cost < least * current.cost
+        if little and not to_end:
+            history.append(reached.cost)
+            return Solution(belief, reached, tuple(history), False, TOO_LITTLE)
         before, current = current, problem.evaluate(belief)
         history.append(current.cost)
         if report:
             report(iteration, current, belief)
         if current.misfit > max(gross, HARDLY * before.misfit):
             reason = "gross, and hardly less by another iteration"
+            break
+        if little:
+            reason = TOO_LITTLE
             break
     return Solution(belief, current, tuple(history), converged, reason)
 
