@@ -162,6 +162,6 @@ def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyP
 
 def test_a_mass_is_ranked_at_the_place_between_those_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = {score.name for score in ranked("attached_mass").table.scores}
-    monkeypatch.setattr(ranking, "mass_between", lambda *_: None)
+    monkeypatch.setattr(ranking, "ways_between", lambda *_: [])
     corners = {score.name for score in ranked("attached_mass").table.scores}
     assert corners < tried and len(tried - corners) == 1

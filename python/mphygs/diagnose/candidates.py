@@ -20,6 +20,11 @@ RELAXATION_TIMES = (0.02, 0.1, 0.5)
 GRADIENTS = ("stiffness_gradient", "density_gradient")
 PLACES = 8
 TETHER_PLACES = 3
+# Of a wind whose drag is light [m/s].
+FLOW = 2.0
+# Settings of a steady load that came after the published shape was taken, and how it is told from one that
+# this shape bears.
+LATE, SINCE_THE_START = {"at_rest": False}, ", since the first frame"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +81,78 @@ def _said(place: np.ndarray, digits: int) -> str:
     return ", ".join(f"{x:.{digits}f}" for x in place)
 
 
-def mass_way(belief: Belief, place: np.ndarray, digits: int = 3) -> Way:
-    """A point mass at a place (3,) [m]; digits: of the place in the label."""
-    settings = {"place": np.asarray(place, float).tolist()}
-    label = f"attached_mass at ({_said(place, digits)})"
+def mass_way(belief: Belief, place: np.ndarray, digits: int = 3, *, late: bool = False) -> Way:
+    """A point mass at a place (3,) [m]; digits: of the place in the label; late: see `late_ways`."""
+    settings = {"place": np.asarray(place, float).tolist()} | (LATE if late else {})
+    label = f"attached_mass at ({_said(place, digits)}){SINCE_THE_START if late else ''}"
     return _way(belief, "attached_mass", label, ["m"], settings=settings)
+
+
+def wind_way(belief: Belief, direction: np.ndarray, *, late: bool = False) -> Way:
+    """A flow in a direction, (3,) of length 1; late: see `late_ways`.
+
+    Near w = 0 a drag coefficient has no derivative: a light one in a fast flow stands for it.
+    """
+    axis = int(np.abs(direction).argmax())
+    said = ", ".join(f"{x:.2f}" for x in direction)
+    if np.count_nonzero(direction) == 1:
+        said = f"{'+' if direction[axis] > 0.0 else '-'}{'xyz'[axis]}"
+    flow = {f"w_{a}": float(FLOW * x) for a, x in zip("xyz", direction, strict=True)}
+    label = f"wind towards {said}{SINCE_THE_START if late else ''}"
+    return _way(belief, "wind", label, ["c_d"], values=flow, settings=LATE if late else None)
+
+
+def _wind_ways(belief: Belief, *, late: bool = False) -> list[Way]:
+    """Flows along the axes, either way."""
+    axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    return [wind_way(belief, axis, late=late) for axis in axes]
+
+
+def _tether_ways(belief: Belief, body: Body, *, late: bool = False) -> list[Way]:
+    """Springs from material points, each to four anchors: these span all springs to any one anchor."""
+    size, ways = float(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0).max()), []
+    for place in spread_places(body, TETHER_PLACES):
+        settings = {"place": place.tolist()} | (LATE if late else {})
+        columns = []
+        for step in (np.zeros(3), *np.eye(3)):
+            anchor = dict(
+                zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place + size * step), strict=True)
+            )
+            columns += _way(belief, "tether", "", ["k"], values=anchor, settings=settings).columns
+        said = _said(place, place_digits(body))
+        ways.append(
+            Way(
+                "tether",
+                f"tether at ({said}){SINCE_THE_START if late else ''}",
+                tuple(columns),
+                np.zeros(4, bool),
+                settings | {"size": size},
+                {},
+            )
+        )
+    return ways
+
+
+def late_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = None) -> list[Way]:
+    """Steady loads that the model lacks and that came after the published shape was taken: gravity, a wind,
+    point masses, tethers. They act from the first frame on, and the shape at rest does not bear them; none
+    where that shape bears nothing at all, which makes no difference then."""
+    if belief.prestress != "equilibrium":
+        return []
+    wanted = set(effects() if names is None else names) - set(belief.effects)
+    wanted -= set(impossible_effects(body.transfer))
+    ways: list[Way] = []
+    if "gravity" in wanted:
+        label = f"gravity{SINCE_THE_START}"
+        ways.append(_way(belief, "gravity", label, [f"delta_g_{a}" for a in "xyz"], settings=LATE))
+    if "wind" in wanted:
+        ways += _wind_ways(belief, late=True)
+    if "attached_mass" in wanted:
+        places, digits = spread_places(body, PLACES), place_digits(body)
+        ways += [mass_way(belief, place, digits, late=True) for place in places]
+    if "tether" in wanted:
+        ways += _tether_ways(belief, body, late=True)
+    return ways
 
 
 def principal_axis(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -147,37 +219,13 @@ def smooth_ways(
             direction = dict(zip(("a_x", "a_y", "a_z"), map(float, axis), strict=True))
             add("fibre", f"fibre along {label}", ["k_f"], values=direction)
     if "wind" in wanted:
-        # Near w = 0 a drag coefficient has no derivative: a light one in a flow of 2 m/s stands for it.
-        for k, a in enumerate("xyz"):
-            for sign in (1, -1):
-                flow = {f"w_{b}": 2.0 * sign * (k == j) for j, b in enumerate("xyz")}
-                add("wind", f"wind towards {'+' if sign > 0 else '-'}{a}", ["c_d"], values=flow)
+        ways += _wind_ways(belief)
     if "attached_mass" in wanted:
         ways += [mass_way(belief, place, digits) for place in spread_places(body, PLACES)]
         for settings in hung:
             add("attached_mass", hung_label(settings), ["m"], settings=settings)
     if "tether" in wanted:
-        size = float(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0).max())
-        for place in spread_places(body, TETHER_PLACES):
-            # Springs to four anchors span all springs to any one anchor at this place.
-            columns = []
-            for step in (np.zeros(3), *np.eye(3)):
-                anchor = dict(
-                    zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place + size * step), strict=True)
-                )
-                columns += _way(
-                    belief, "tether", "", ["k"], values=anchor, settings={"place": place.tolist()}
-                ).columns
-            ways.append(
-                Way(
-                    "tether",
-                    f"tether at ({_said(place, digits)})",
-                    tuple(columns),
-                    np.zeros(4, bool),
-                    {"place": place.tolist(), "size": size},
-                    {},
-                )
-            )
+        ways += _tether_ways(belief, body)
     for name in GRADIENTS:
         if name in wanted:
             for number, part in enumerate(body.part_names):
@@ -257,7 +305,8 @@ def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
             "k": max(total, 1e-3),
             **dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, anchor), strict=True)),
         }
-        extended = belief.with_effect(name, values, {"place": place.tolist()})
+        settings = {key: value for key, value in way.settings.items() if key != "size"}
+        extended = belief.with_effect(name, values, settings)
         for a in "xyz":
             extended = extended.with_parameter(f"tether.anchor_{a}", free=True, scale=size)
         return extended

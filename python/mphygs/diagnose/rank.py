@@ -8,11 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
-from mphygs.diagnose.candidates import Way, base_motion_ways, other_starts, smooth_ways, starting_effect
+from mphygs.diagnose.candidates import (
+    Way,
+    base_motion_ways,
+    late_ways,
+    other_starts,
+    smooth_ways,
+    starting_effect,
+)
 from mphygs.diagnose.contact_search import walls, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
-from mphygs.diagnose.places import mass_between
+from mphygs.diagnose.places import ways_between
 from mphygs.diagnose.power import detectable_length
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
@@ -33,6 +40,9 @@ DECOYS = 20
 FREQUENCIES = 2
 # Periods in the frames that are too few for the misfit's spectrum to show.
 SLOW = (0.7, 1.4)
+# Of the fitted frames, the first, in which what came after the shape was taken is to be seen; and a misfit
+# there that is more than noise [sigma].
+EARLY, EARLY_MISFIT = 0.16, 1.25
 # A trial of a smooth effect stands for it where its drop of chi^2 is this share of what tangents promise:
 # far from the data they promise much.
 TRIAL_WINS = 0.2
@@ -120,6 +130,18 @@ def _stack(
     return np.concatenate(blocks), np.concatenate(decoys)
 
 
+def _off_at_the_start(experiment: Experiment, problem: Problem, evaluation: Evaluation) -> bool:
+    """Whether the first frames are off by more than noise: so they are where a load came after the published
+    shape was taken."""
+    square, count = 0.0, 0
+    for name, (first, last) in problem.ranges.items():
+        whole = experiment.fitted[name][1]
+        rows = evaluation.residual[evaluation.rows[name]]
+        early = first + experiment.observations[name].whitener(first, last).frame < EARLY * whole
+        square, count = square + float(rows[early] @ rows[early]), count + int(early.sum())
+    return square > EARLY_MISFIT**2 * max(count, 1)
+
+
 def rank(
     experiment: Experiment,
     belief: Belief,
@@ -159,13 +181,15 @@ def rank(
         fps = experiment.capture.sequence(first_name).fps
         slow = [share * fps / len(misfits[first_name]) for share in SLOW]
         ways += base_motion_ways(belief, [*_peaks(misfits[first_name], fps, FREQUENCIES), *slow])
+    if _off_at_the_start(experiment, problem, evaluation):
+        ways += late_ways(belief, body, names=names)
     # Decoys draw numbers of their own: the rest is the same with and without them.
     tangents, fakes = _stack(experiment, problem, belief, ways, report, generator.spawn(1)[0])
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
-    between = mass_between(belief, body, ways, tangents, full_residual, full_jacobian)
-    if between is not None:
-        more, _ = _stack(experiment, problem, belief, [between], None, np.random.default_rng(0))
-        ways = [*ways, between]
+    between = ways_between(belief, body, ways, tangents, full_residual, full_jacobian)
+    if between:
+        more, _ = _stack(experiment, problem, belief, between, None, np.random.default_rng(0))
+        ways = [*ways, *between]
         tangents = np.hstack([tangents, np.vstack([more, np.zeros((len(prior), more.shape[1]))])])
     candidates, at = [], 0
     for way in ways:

@@ -319,4 +319,9 @@ def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -
     else:
         verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
     told = [text for step in steps for text in step.warnings]
-    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))
+    came = [
+        f"{term.name}: acts since the first frame; the published shape does not bear it"
+        for term in last.belief.terms
+        if term.name in added and term.settings.get("at_rest") is False and "sequences" not in term.settings
+    ]
+    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings, *came))
