@@ -884,10 +884,14 @@ def test_refits_begin_from_other_materials_too(monkeypatch: pytest.MonkeyPatch) 
     chi_squares = {("gravity", 3e6): 800.0, ("gravity", 1e5): 300.0}
     chi_squares |= {("wind", 3e6): 400.0, ("tether", 1e5): 500.0}
     asked: list[tuple[str, float]] = []
+    bounds: list[float] = []
     finished: dict[str, float] = {}
 
-    def start_refit(_e: object, before: Solution, entry: Entry, *_: object, **__: object) -> Solution | None:
+    def start_refit(
+        _e: object, before: Solution, entry: Entry, *_: object, hopeless: float, **__: object
+    ) -> Solution | None:
         asked.append((entry.effect, before.belief[KEY].value))
+        bounds.append(hopeless)
         chi_square = chi_squares[asked[-1]]
         return solution_of(before.belief, evaluation_of(chi_square)) if chi_square < 600.0 else None
 
@@ -908,9 +912,15 @@ def test_refits_begin_from_other_materials_too(monkeypatch: pytest.MonkeyPatch) 
     assert sorted(asked) == sorted(chi_squares)
     # Each from where it leaves less, or can be simulated at all.
     assert finished == {"gravity": 1e5, "wind": 3e6, "tether": 1e5}
+    # From there a first iteration says little of who leads.
+    assert bounds == len(bounds) * [np.inf]
     asked.clear()
+    bounds.clear()
+    chi_squares["fibre", 3e6] = 500.0
+    ranking = ranking_of(entry_of("gravity", 2e4), entry_of("wind", 1e4), entry_of("fibre", 1e4))
     refits_of(ALONE, current, first, ranking, SPACING, None, lambda _text: None)
-    assert asked == [("gravity", 3e6), ("wind", 3e6)]
+    assert asked == [("gravity", 3e6), ("wind", 3e6), ("fibre", 3e6)]
+    assert bounds == [np.inf, np.inf, refits.HOPELESS * 400.0]
 
 
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])

@@ -96,9 +96,11 @@ def refits_of(
     others = {entry.effect: entry for entry in promising(beside[1])} if beside else {}
     for wave in waves(_with_others(promising(ranking), others)):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
+        # Seen from other materials no first iteration says how far one leads, and a few frames cost little.
+        hopeless = HOPELESS * best if beside is None else np.inf
         chosen = [entry for entry in wave if not _far_behind(entry, ranking, best)]
 
-        def start(own: Experiment, entry: Entry, best: float = best) -> Solution | None:
+        def start(own: Experiment, entry: Entry, hopeless: float = hopeless) -> Solution | None:
             ways = [(window[1], entry)] if entry is not others.get(entry.effect) else []
             ways += [(beside[0], others[entry.effect])] if entry.effect in others else []
             begun = [
@@ -109,7 +111,7 @@ def refits_of(
                     spacing,
                     share=window[0],
                     iterations=FIRST_NEAR if near else FIRST,
-                    hopeless=HOPELESS * best,
+                    hopeless=hopeless,
                     report=say,
                 )
                 for before, way in ways
