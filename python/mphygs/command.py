@@ -20,6 +20,7 @@ from typing import TextIO, TypeVar
 
 import numpy as np
 import tyro
+from threadpoolctl import threadpool_limits
 
 DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
 # Set to anything, this shows where an error comes from.
@@ -165,8 +166,10 @@ def _guarded(
     action: Callable[[OptionsType, Console], Answer], options: OptionsType, console: Console, program: str
 ) -> tuple[Answer | None, int]:
     try:
-        # Whatever a library prints must not reach the answer's stream.
-        with contextlib.redirect_stdout(sys.stderr):
+        # Simulations have the cores: threads of the linear algebra that wait for work slow them down, and its
+        # last digits would depend on how many there are. Whatever a library prints must not reach the
+        # answer's stream.
+        with threadpool_limits(1, user_api="blas"), contextlib.redirect_stdout(sys.stderr):
             return action(options, console), DONE
     except KeyboardInterrupt:
         hint = f"; continue with: {console.resume}" if console.resume else ""
