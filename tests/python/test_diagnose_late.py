@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, recorded
+from extend_example import SPACING, entry_of, recorded
 from mphygs.diagnose import rank as ranking
 from mphygs.diagnose.candidates import (
     SINCE_THE_START,
@@ -21,6 +21,7 @@ from mphygs.diagnose.candidates import (
 )
 from mphygs.diagnose.places import mass_between, wind_between
 from mphygs.diagnose.rank import Entry, rank
+from mphygs.extend.separate import _way_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model.belief import Belief
@@ -162,3 +163,20 @@ def test_a_mass_between_is_late_as_those_around_it() -> None:
         found = mass_between(belief, predictor.body, ways, tangents, tangents @ masses, none, late=late)
         assert found is not None and found.settings.get("at_rest", True) is not late
         assert np.linalg.norm(np.array(found.settings["place"]) - [0.055, 0.01, 0.01]) < 0.006
+
+
+def test_the_next_motion_is_asked_of_the_way_that_was_found() -> None:
+    predictor, belief = resting()
+    ways = [*smooth_ways(belief, predictor.body), *late_ways(belief, predictor.body)]
+    for late in (False, True):
+        # A mass between the places that are tried has a label of its own.
+        settings = {"place": [0.05, 0.01, 0.01]} | (CAME if late else {})
+        start = belief.with_effect("attached_mass", {"m": 1e-3}, settings)
+        entry = replace(entry_of("attached_mass", 100.0), label="attached_mass in between", start=start)
+        found = _way_of(entry, ways)
+        assert found is not None and found.effect == "attached_mass"
+        assert found.label.endswith(SINCE_THE_START) is late
+        own = [way for way in ways if way.effect == "attached_mass"]
+        exact = [way for way in own if (SINCE_THE_START in way.label) is late][-1]
+        assert _way_of(replace(entry, label=exact.label), ways) is exact
+    assert _way_of(None, ways) is None

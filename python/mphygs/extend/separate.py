@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.diagnose.candidates import Way, smooth_ways
+from mphygs.diagnose.candidates import Way, late_ways, smooth_ways
 from mphygs.diagnose.next_motion import Proposed, propose
 from mphygs.diagnose.rank import Entry
 from mphygs.extend.discover import Discovery
@@ -41,7 +41,9 @@ def motions_to_record(
     name = next(iter(experiment.fitted))
     predictor = experiment.predictor(name, spacing)
     hung = masses_of_loads(experiment.capture, [name])
-    ways = smooth_ways(belief, predictor.body, names=[leader, *step.ties], hung=hung)
+    asked = [leader, *step.ties]
+    ways = smooth_ways(belief, predictor.body, names=asked, hung=hung)
+    ways += late_ways(belief, predictor.body, names=asked)
     first = _way_of(entries.get(leader), ways)
     second = next((w for rival in step.ties if (w := _way_of(entries.get(rival), ways))), None)
     if first is None or second is None:
@@ -65,10 +67,12 @@ def _without_last(before: Step, after: Step) -> Belief:
 
 
 def _way_of(entry: Entry | None, ways: list[Way]) -> Way | None:
-    """The way in which an entry has its effect, or the effect's first."""
+    """The way in which an entry has its effect, or the effect's first that came when that did."""
     if entry is None:
         return None
-    own = [way for way in ways if way.effect == entry.effect]
+    terms = [term.settings for term in entry.start.terms if term.name == entry.effect]
+    borne = all(settings.get("at_rest", True) for settings in terms)
+    own = [w for w in ways if w.effect == entry.effect and w.settings.get("at_rest", True) is borne]
     return next((way for way in own if way.label == entry.label), own[0] if own else None)
 
 
