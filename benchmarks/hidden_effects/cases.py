@@ -13,13 +13,16 @@ from mphygs.synth.shapes import shape
 
 # Grid of the truth over the fit's: finer, and with nodes elsewhere.
 SPACING_SHARE = 0.77
+# The same where finite elements compute the truth: bricks as large as the blocks of the flower.
+BRICKS_SHARE = 1.2
 GROUPS = ("null", "single", "pair", "outside", "fault", "near", "trap")
 
 
 @dataclass(frozen=True)
 class Case:
     """One case. hidden: as of `mphygs synth --hidden`; noise: its kind; fit_spacing: over a fit's default;
-    group_of: names that act so much alike that any may be named first (near, trap), beside those hidden."""
+    simulator: what computes the truth; group_of: names that act so much alike that any may be named first
+    (near, trap), beside those hidden."""
 
     name: str
     group: str
@@ -28,6 +31,7 @@ class Case:
     noise: str = "white"
     fit_spacing: float = 1.0
     group_of: tuple[str, ...] = field(default_factory=tuple)
+    simulator: str = "total-lagrangian"
 
     @property
     def true_names(self) -> tuple[str, ...]:
@@ -42,15 +46,21 @@ class Case:
             name=self.name,
             noise=Noise(self.noise),
             takes=_takes(self.kind),
-            marker_count=60,
-            spacing_share=SPACING_SHARE,
-            known="densities" if self.kind != "flower" else "first-density",
+            marker_count=300 if self.independent else 60,
+            spacing_share=BRICKS_SHARE if self.independent else SPACING_SHARE,
+            known="densities" if "flower" not in self.kind else "first-density",
+            simulator=self.simulator,
         )
+
+    @property
+    def independent(self) -> bool:
+        """Whether the truth comes from code that shares nothing with the model."""
+        return self.simulator == "finite-element"
 
 
 def _takes(kind: str) -> tuple[Take, ...]:
     """Short takes: one to fit and predict, another for prediction only."""
-    if kind == "flower":
+    if "flower" in kind:
         return default_takes(shape(kind), frames=60)
     shift = (Motion("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
     shake = (Motion("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
@@ -58,6 +68,11 @@ def _takes(kind: str) -> tuple[Take, ...]:
         Take("release", shift, 60.0, 56, (0, 36), (36, 56), release=2),
         Take("shake", shake, 60.0, 50, (0, 0), (0, 50), release=2),
     )
+
+
+def _elements(label: str, group: str, *hidden: str, kind: str = "block-flower") -> Case:
+    """A flower whose truth comes from independent finite elements."""
+    return Case(f"elements-{label}", group, kind, hidden, simulator="finite-element")
 
 
 def _single(name: str, strengths: dict[str, str], kind: str = "two-part-bar") -> list[Case]:
@@ -120,6 +135,18 @@ CASES: tuple[Case, ...] = (
         hidden=("relaxation:ratio=2:tau=0.001",),
         group_of=("viscosity",),
     ),
+    _elements("null", "null"),
+    _elements("viscosity", "single", "viscosity:eta=150"),
+    _elements("mass_damping", "single", "mass_damping:alpha=1.2"),
+    _elements("air_drag", "single", "air_drag:c_d=1.6", kind="hanging-block-flower"),
+    _elements("wind", "single", "wind:w_x=1.4:w_y=0.5:c_d=1.5"),
+    _elements("gravity", "single", "gravity:delta_g_x=0.7:delta_g_y=-0.4:at_rest=false"),
+    _elements("attached_mass", "single", "attached_mass:m=8e-4:place=0.04/0/0.033:at_rest=false"),
+    _elements("base_motion", "single", "base_motion:a_x=0.8:a_y=0.4:f=3.2"),
+    _elements("contact", "single", "contact:n_x=-0.94:n_y=-0.34:d=-0.056:mu=0.3"),
+    _elements("relaxation", "single", "relaxation:ratio=0.6:tau=0.08"),
+    _elements("time_offset", "fault", "time_offset:offset=0.011"),
+    _elements("cubic_drag", "outside", "cubic_drag:c_3=22:part=head"),
 )
 
 

@@ -1,15 +1,19 @@
 """The independent finite elements and the core tell the same story, effect by effect."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from mphygs.capture.format import load_capture
 from mphygs.synth.brick_mesh import brick_mesh
 from mphygs.synth.finite_element_stress import MaterialStress
 from mphygs.synth.make import make_capture
-from mphygs.synth.shapes import flower, two_part_bar
+from mphygs.synth.shapes import block_flower, flower, two_part_bar
 from synth_example import made, small, tracks
 
 FRAMES = 9
+FLOWER = {"simulator": "finite-element", "noise_free": True, "spacing_share": 1.2}
 # The effect's own change of the motion, one simulator against the other, on coarse grids.
 TOLERANCE = 0.1
 COMPARED = (
@@ -121,7 +125,7 @@ def test_the_maxwell_branch_jumps_and_relaxes() -> None:
 
 def test_the_mesh_has_the_volume_the_area_and_exact_slopes() -> None:
     body = two_part_bar()
-    mesh = brick_mesh(body.parts, 0.0072, 0.0101)
+    mesh = brick_mesh(body.parts, body.hold, 0.0101)
     (x, y, z) = (0.09 - 0.0072, 0.018, 0.020)
     assert mesh.volume.sum() == pytest.approx(x * y * z)
     assert mesh.node_volume.sum() == pytest.approx(x * y * z)
@@ -140,13 +144,68 @@ def test_the_mesh_has_the_volume_the_area_and_exact_slopes() -> None:
     assert mesh.weights(somewhere) @ mesh.nodes == pytest.approx(somewhere)
 
 
+def test_a_flower_of_blocks_is_meshed_to_its_surface() -> None:
+    body = block_flower()
+    mesh = brick_mesh(body.parts, body.hold, 0.006)
+    held = 4.0 * 0.006**3
+    assert mesh.volume.sum() == pytest.approx(body.volume - held)
+    for number, part in enumerate(body.parts[1:], start=1):
+        assert mesh.volume[mesh.part == number].sum() == pytest.approx(part.volume)
+    # All parts' surfaces, less what touches (both sides), what is held (sides and bottom), and the cut.
+    head, leaf, section = 4.0, 2.0, 4.0
+    faces = sum(part.area for part in body.parts) / 0.006**2 - 2.0 * (head + 2.0 * leaf) - (8.0 + section)
+    assert mesh.surface_area.sum() == pytest.approx(faces * 0.006**2)
+    for part in body.parts:
+        assert (part.vertices[part.faces[:, 0]] != part.vertices[part.faces[:, 1]]).any(axis=1).all()
+
+
+def unmoved(folder, hidden: tuple[str, ...], frames: int = 3) -> np.ndarray:
+    """Displacement (T, M, 3) [m] of a flower whose hold stays: none where its shape is in equilibrium."""
+    recipe = small("block-flower", hidden, frames=frames, **FLOWER)
+    recipe = replace(recipe, takes=(replace(recipe.takes[0], motions=()),))
+    make_capture(recipe, folder, measure_signal=False)
+    position = tracks(load_capture(folder))
+    return position - position[0]
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        ("attached_mass:m=1e-3",),
+        pytest.param((), marks=pytest.mark.slow),
+        pytest.param(("wind:w_x=2:c_d=1.5:at_rest=true",), marks=pytest.mark.slow),
+        pytest.param(("fibre",), marks=pytest.mark.slow),
+    ],
+)
+def test_a_flower_that_carries_its_loads_stays(hidden, tmp_path) -> None:
+    assert np.abs(unmoved(tmp_path, hidden)).max() < 2e-8
+
+
+def test_a_load_that_came_after_the_scan_makes_it_swing(tmp_path) -> None:
+    moved = unmoved(tmp_path, ("wind:w_x=2:w_y=0:c_d=1.5:at_rest=false",))
+    assert 1e-3 < moved[-1, :, 0].max() < 2e-2
+    assert moved[-1, :, 0].min() > -1e-3
+
+
+@pytest.mark.slow
+def test_both_simulators_move_a_flower_that_carries_its_weight(tmp_path) -> None:
+    share = {"finite-element": 1.2, "total-lagrangian": 0.9}
+    found = [
+        tracks(made(tmp_path, "block-flower", frames=8, **FLOWER | {"simulator": s, "spacing_share": x})[1])
+        for s, x in share.items()
+    ]
+    moved, apart = np.abs(found[0] - found[0][0]).max(), np.abs(found[0] - found[1]).max()
+    assert moved > 5e-3
+    assert 1e-6 < apart < 0.06 * moved
+
+
 def test_what_it_does_not_know_is_refused(tmp_path) -> None:
     for hidden in ("plasticity", "hold_compliance"):
         with pytest.raises(ValueError, match=hidden):
             make_capture(small("bar", (hidden,), simulator="finite-element"), tmp_path)
-    with pytest.raises(ValueError, match="stress-free"):
+    with pytest.raises(ValueError, match="part 'stem'.*boxes"):
         make_capture(small("flower", simulator="finite-element"), tmp_path)
     with pytest.raises(ValueError, match="boxes"):
-        brick_mesh(flower().parts, 0.0, 0.01)
+        brick_mesh(flower().parts, flower().hold, 0.01)
     with pytest.raises(ValueError, match="expected one of total-lagrangian"):
         small("bar", simulator="crystal-ball")

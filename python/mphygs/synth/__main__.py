@@ -28,7 +28,17 @@ PRISMS = {"prism-flower": "flower"}
 class SynthOptions(CommonOptions):
     """Make a capture with known truth: simulated on another grid than a fit's, then measured with noise."""
 
-    kind: tyro.conf.Positional[Literal["bar", "two-part-bar", "prism-flower", "hanging-flower", "flower"]]
+    kind: tyro.conf.Positional[
+        Literal[
+            "bar",
+            "two-part-bar",
+            "prism-flower",
+            "hanging-flower",
+            "block-flower",
+            "hanging-block-flower",
+            "flower",
+        ]
+    ]
     """The object; flower, seen in pictures, has options of its own: synth flower --help."""
     out: Path
     """Folder to write the capture and its answer.json to."""
@@ -53,7 +63,8 @@ class SynthOptions(CommonOptions):
     spacing_share: float = 0.62
     """Grid spacing of the truth over that at which the object is worth 250 cells."""
     simulator: Literal["total-lagrangian", "finite-element"] = "total-lagrangian"
-    """What computes the truth: the core on its own grid, or independent finite elements (bars only)."""
+    """What computes the truth: the core on its own grid, or independent finite elements, which take bars and
+    flowers of blocks."""
     seed: int = 0
     """Of materials, marker places and noise."""
 

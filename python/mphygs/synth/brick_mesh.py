@@ -1,4 +1,4 @@
-"""Bricks of second order over an object of boxes in a row along x: the other way to discretise it.
+"""Bricks of second order over an object of boxes: the other way to discretise it.
 
 Twenty-seven nodes a brick at Gauss-Lobatto points, so that the mass is diagonal, and 27 Gauss points.
 """
@@ -13,7 +13,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mphygs.capture.meshes import Part
+from mphygs.scene.rays import inside
 
+# Two coordinates closer than this are one [m].
+_SAME = 1e-7
 _LOBATTO = np.array([-1.0, 0.0, 1.0])
 _LOBATTO_WEIGHT = np.array([1.0, 4.0, 1.0]) / 3.0
 _GAUSS = np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0])
@@ -33,13 +36,15 @@ def _product(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class BrickMesh:
-    """nodes: (N, 3) [m]; element: (E, 27) node indices; corner, size: (E, 3) [m]; part: (E,)."""
+    """nodes: (N, 3) [m]; element: (E, 27) node indices; corner, size: (E, 3) [m]; part: (E,); bare: (E, 3, 2)
+    bool, whether nothing lies behind the lower and upper face across x, y and z."""
 
     nodes: np.ndarray
     element: np.ndarray
     corner: np.ndarray
     size: np.ndarray
     part: np.ndarray
+    bare: np.ndarray
 
     @cached_property
     def value(self) -> np.ndarray:
@@ -81,16 +86,15 @@ class BrickMesh:
     def surface_area(self) -> np.ndarray:
         """(N,) of the free surface, the cut at the hold not counted [m^2]."""
         area = np.zeros(len(self.nodes))
-        low, high = self.nodes.min(axis=0), self.nodes.max(axis=0)
-        for axis, end in ((0, 1), (1, 0), (1, 1), (2, 0), (2, 1)):
-            plane = (low, high)[end][axis]
+        for axis in range(3):
             across = [a for a in range(3) if a != axis]
-            outer = np.isclose((self.corner + end * self.size)[:, axis], plane, atol=1e-9)
-            weight = [_LOBATTO_WEIGHT] * 3
-            weight[axis] = np.array([1.0 - end, 0.0, end])
-            share = np.kron(np.kron(*weight[:2]), weight[2])
-            face = np.prod(self.size[:, across], axis=1)[outer] / 4.0
-            np.add.at(area, self.element[outer], face[:, None] * share)
+            for end in (0, 1):
+                outer = self.bare[:, axis, end]
+                weight = [_LOBATTO_WEIGHT] * 3
+                weight[axis] = np.array([1.0 - end, 0.0, end])
+                share = np.kron(np.kron(*weight[:2]), weight[2])
+                face = np.prod(self.size[:, across], axis=1)[outer] / 4.0
+                np.add.at(area, self.element[outer], face[:, None] * share)
         return area
 
     def weights(self, points: np.ndarray) -> csr_array:
@@ -105,36 +109,58 @@ class BrickMesh:
         return csr_array((value.ravel(), (rows, self.element[owner].ravel())), shape=shape)
 
 
-def brick_mesh(parts: Sequence[Part], start: float, size: float) -> BrickMesh:
-    """The free material of boxes in a row along x, from x = start [m] on, in bricks of at most `size` [m].
+def brick_mesh(parts: Sequence[Part], hold: np.ndarray, size: float) -> BrickMesh:
+    """The material of boxes outside a hold, in bricks of at most `size` [m].
 
-    Raises ValueError for parts that are not boxes of one cross-section.
+    hold: (2, 3) box [m]; what lies wholly inside it is left out. Raises ValueError for parts that are not
+    made of boxes along the axes.
     """
-    bounds = np.array([part.bounds for part in parts])
-    boxes = all(np.isclose(part.volume, np.prod(np.ptp(part.bounds, axis=0))) for part in parts)
-    if not boxes or not np.allclose(bounds[:, :, 1:], bounds[0, :, 1:]):
-        raise ValueError(
-            "the finite-element simulator knows boxes of one cross-section in a row along x only"
-        )
-    lines: list[float] = [start]
-    owner: list[int] = []
-    for number in np.argsort(bounds[:, 0, 0]):
-        low, high = max(bounds[number, 0, 0], start), bounds[number, 1, 0]
-        if high > low:
-            count = int(np.ceil((high - low) / size - 1e-9))
-            lines += np.linspace(low, high, count + 1)[1:].tolist()
-            owner += [int(number)] * count
-    axes = [np.array(lines)]
-    for axis in (1, 2):
-        low, high = bounds[0, :, axis]
-        axes.append(np.linspace(low, high, int(np.ceil((high - low) / size - 1e-9)) + 1))
-    fine = [np.sort(np.concatenate([a, 0.5 * (a[1:] + a[:-1])])) for a in axes]
-    nodes = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1).reshape(-1, 3)
+    axes = [_lines(parts, hold, axis, size) for axis in range(3)]
     counts = [len(a) - 1 for a in axes]
     index = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
     corner = np.stack([axes[a][index[:, a]] for a in range(3)], axis=1)
     extent = np.stack([np.diff(axes[a])[index[:, a]] for a in range(3)], axis=1)
+    middle = corner + 0.5 * extent
+    owner = np.full(len(index), -1)
+    for number, part in enumerate(parts):
+        own = inside(part, middle)
+        if not _of_boxes(part) or not np.isclose(np.prod(extent[own], axis=1).sum(), part.volume):
+            raise ValueError(
+                f"part '{part.name}': the finite-element simulator knows objects of boxes along the axes only"
+            )
+        owner[own] = number
+    # One empty cell all around, so that every cell has neighbours.
+    filled = np.pad(owner.reshape(counts) >= 0, 1)
+    bare = np.stack(
+        [[~np.roll(filled, shift, axis)[1:-1, 1:-1, 1:-1].ravel() for shift in (1, -1)] for axis in range(3)]
+    ).transpose(2, 0, 1)
+    free = (owner >= 0) & ~np.all((middle > hold[0]) & (middle < hold[1]), axis=1)
     inner = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    place = 2 * index[:, None] + inner
-    element = (place[..., 0] * len(fine[1]) + place[..., 1]) * len(fine[2]) + place[..., 2]
-    return BrickMesh(nodes, element, corner, extent, np.array(owner)[index[:, 0]])
+    fine = [np.sort(np.concatenate([a, 0.5 * (a[1:] + a[:-1])])) for a in axes]
+    place = 2 * index[free][:, None] + inner
+    number = (place[..., 0] * len(fine[1]) + place[..., 1]) * len(fine[2]) + place[..., 2]
+    used, element = np.unique(number, return_inverse=True)
+    nodes = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1).reshape(-1, 3)[used]
+    return BrickMesh(
+        nodes, element.reshape(number.shape), corner[free], extent[free], owner[free], bare[free]
+    )
+
+
+def _lines(parts: Sequence[Part], hold: np.ndarray, axis: int, size: float) -> np.ndarray:
+    """Coordinates [m] along one axis at which bricks begin and end."""
+    low = min(part.vertices[:, axis].min() for part in parts)
+    high = max(part.vertices[:, axis].max() for part in parts)
+    ends = [x for x in hold[:, axis] if low < x < high]
+    given = np.sort(np.concatenate([*(part.vertices[:, axis] for part in parts), ends]))
+    given = given[np.concatenate([[True], np.diff(given) > _SAME])]
+    lines = [given[:1]]
+    for start, stop in zip(given[:-1], given[1:], strict=True):
+        lines.append(np.linspace(start, stop, int(np.ceil((stop - start) / size - 1e-9)) + 1)[1:])
+    return np.concatenate(lines)
+
+
+def _of_boxes(part: Part) -> bool:
+    """Whether every face lies across an axis."""
+    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
+    normal = np.abs(np.cross(b - a, c - a))
+    return bool((normal.max(axis=1) >= (1.0 - 1e-6) * np.linalg.norm(normal, axis=1)).all())

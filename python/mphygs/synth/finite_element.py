@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.fields import STATIC_EFFECTS
 from mphygs.synth.brick_mesh import brick_mesh
 from mphygs.synth.causes import CAUSES, Material
-from mphygs.synth.finite_element_stress import MaterialStress
+from mphygs.synth.finite_element_rest import stiffness, unloaded
+from mphygs.synth.finite_element_stress import MaterialStress, Values, cofactor, published, times, transposed
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.recipe import Recipe
 from mphygs.synth.truth import Motion
@@ -32,32 +34,27 @@ def simulate_finite_element(
 ) -> Motion:
     """True motion of the markers of one recording, by central differences in time.
 
-    spacing: of a grid as fine as the bricks [m]. Raises ValueError for objects, rests and effects that it
-    does not know, SimulationError where the motion is unstable.
+    spacing: of a grid as fine as the bricks [m]. Raises ValueError for objects and effects that it does not
+    know, SimulationError where the motion is unstable or no stress-free shape is found.
     """
     for thing in hidden:
         if thing.kind == "effect" and thing.name not in KNOWN:
             raise ValueError(
                 f"the finite-element simulator has no '{thing.name}'; expected some of {', '.join(KNOWN)}"
             )
-    if capture.rest != "stress-free":
-        raise ValueError(
-            "the finite-element simulator starts from stress-free rest, the object's is equilibrium"
-        )
     # A brick has three nodes each way, a grid cell one of its own: twice the size is as fine.
     body = _Body(capture, recording, recipe, hidden, 2.0 * spacing)
     return body.run()
 
 
 class _Body:
-    """One object under one hold on its lower x end, and what acts on it."""
+    """One object under one hold, and what acts on it."""
 
     def __init__(
         self, capture: Capture, recording: Recording, recipe: Recipe, hidden: Sequence[Hidden], size: float
     ) -> None:
         self.recording, self.hold = recording, recording.held[0]
-        self.start = float(self.hold.box[1, 0])
-        self.mesh = mesh = brick_mesh(capture.parts, self.start, size)
+        self.mesh = mesh = brick_mesh(capture.parts, self.hold.box, size)
         self.effects = {h.name: h.values for h in hidden if h.kind == "effect"}
         self.terms = {h.name: h for h in hidden if h.kind == "effect"}
         names = tuple(part.name for part in capture.parts)
@@ -75,10 +72,8 @@ class _Body:
         self.mass = mesh.gather @ (at_nodes * mesh.node_volume).ravel()
         at_points = density * np.exp(self._slope("density_gradient", names, mesh.points))
         self.point_mass = (at_points * mesh.volume).ravel()
-        self.held = np.isclose(mesh.nodes[:, 0], self.start, atol=1e-9)
+        self.held = self._in_hold(mesh.nodes)
         self.gravity = np.asarray(capture.gravity, float)
-        if "gravity" in self.effects:
-            self.gravity = self.gravity + [self.effects["gravity"][f"delta_g_{a}"] for a in "xyz"]
         self.causes = [
             (h, np.repeat(mesh.part == names.index(str(h.settings["part"])), 27) if "part" in h.settings
              else np.ones(27 * len(mesh.part), bool))
@@ -91,7 +86,48 @@ class _Body:
         }
         self.youngs_modulus = float(youngs.max())
         self.modulus = lame + 2.0 * mu
-        self.least_density = float(np.broadcast_to(at_points, mesh.volume.shape).min())
+        self.density = np.broadcast_to(at_points, mesh.volume.shape)
+        # Deformation (3, 3, Q) of the published shape from the stress-free one, None where they are the same.
+        self.strained: np.ndarray | None = None
+        if capture.rest == "equilibrium":
+            self._strain(np.broadcast_to(mu, mesh.volume.shape), np.broadcast_to(lame, mesh.volume.shape))
+
+    def _in_hold(self, points: np.ndarray) -> np.ndarray:
+        """(M,) whether points [m] lie in the hold's box."""
+        low, high = self.hold.box
+        return np.all((points >= low - 1e-9) & (points <= high + 1e-9), axis=1)
+
+    def _strain(self, mu: np.ndarray, lame: np.ndarray) -> None:
+        """The strain in which loads at rest keep the published shape; mu, lame: (E, 27) [Pa]."""
+        loads = {
+            n: v
+            for n, v in self.effects.items()
+            if n in STATIC_EFFECTS and self.terms[n].settings.get("at_rest", True)
+        }
+        still = np.zeros_like(self.mesh.nodes)
+        load = self._outside(self.mesh.nodes, still, 0.0, loads)
+        if "attached_mass" in loads:
+            pull = loads["attached_mass"]["m"] * self._body_field(still[0], 0.0, loads)
+            load = load + self.places["attached_mass"].toarray().T * pull
+        law = MaterialStress(
+            self.stress.mu,
+            self.stress.lame,
+            {n: v for n, v in self.effects.items() if n in ("fibre", "stiffening")},
+        )
+
+        def strained(unloaded_by: np.ndarray) -> np.ndarray:
+            back = self._gradient(self._of_elements(unloaded_by))
+            for a in range(3):
+                back[a, a] += 1.0
+            c = cofactor(back)
+            return transposed(c) / np.einsum("aq,aq->q", back[0], c[0])
+
+        def inside(unloaded_by: np.ndarray) -> np.ndarray:
+            f = strained(unloaded_by)
+            return self._nodal(published(law.stress(f, None, 0.0, 0.0), f))
+
+        matrix = stiffness(self.mesh, mu, lame)
+        self.strained = strained(unloaded(self.mesh, self.held, matrix, inside, load))
 
     def _slope(self, name: str, names: tuple[str, ...], points: np.ndarray) -> np.ndarray:
         """slope (X - centroid).axis of a gradient effect in its part, 0 elsewhere; points: (E, n, 3)."""
@@ -106,17 +142,14 @@ class _Body:
 
     def step(self) -> float:
         """A stable step [s]: omega^2 dt^2 + 2 c dt < 4 for the fastest wave and decay in a brick."""
-        curvature = 24.0 * float((1.0 / self.mesh.size**2).sum(1).max())
-        modulus = self.modulus.max()
-        modulus += 4.0 * self.effects.get("fibre", {}).get("k_f", 0.0)
-        modulus += 0.2 * self.effects.get("stiffening", {}).get("c_2", 0.0)
+        modulus = self.modulus + 4.0 * self.effects.get("fibre", {}).get("k_f", 0.0)
+        modulus = modulus + 0.2 * self.effects.get("stiffening", {}).get("c_2", 0.0)
         modulus *= 1.0 + self.effects.get("relaxation", {}).get("ratio", 0.0)
-        stiffness = curvature * modulus / self.least_density
+        curvature = 24.0 * (1.0 / self.mesh.size**2).sum(1)[:, None] / self.density
+        stiffness = float((curvature * modulus).max())
         if "contact" in self.effects:
             stiffness += float((self._contact_stiffness() * self.mesh.surface_area / self.mass).max())
-        damping = (
-            curvature * self.effects.get("viscosity", {}).get("eta", 0.0) * 4.0 / 3.0 / self.least_density
-        )
+        damping = float(curvature.max()) * self.effects.get("viscosity", {}).get("eta", 0.0) * 4.0 / 3.0
         return SAFETY * (-damping + math.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
 
     def _contact_stiffness(self) -> float:
@@ -127,12 +160,14 @@ class _Body:
     def _inside(self, u: np.ndarray, v: np.ndarray, time: float, dt: float) -> np.ndarray:
         """(N, 3) [N] of the material's stress and of causes outside the list."""
         mesh = self.mesh
-        moved = np.ascontiguousarray(u[mesh.element].transpose(2, 0, 1))  # (3, E, 27)
-        speed = np.ascontiguousarray(v[mesh.element].transpose(2, 0, 1))
+        moved, speed = self._of_elements(u), self._of_elements(v)
         deformation = self._gradient(moved)
         for a in range(3):
             deformation[a, a] += 1.0
         rate = self._gradient(speed) if "viscosity" in self.effects else None
+        if self.strained is not None:
+            deformation = times(deformation, self.strained)
+            rate = None if rate is None else times(rate, self.strained)
         stress = self.stress.stress(deformation, rate, time, dt)
         body_force = None
         for thing, where in self.causes:
@@ -152,12 +187,23 @@ class _Body:
                 stress = stress + more.transpose(1, 2, 0)
             if force is not None:
                 body_force = force if body_force is None else body_force + force
+        if self.strained is not None:
+            stress = published(stress, self.strained)
+        return self._nodal(stress, body_force)
+
+    def _of_elements(self, values: np.ndarray) -> np.ndarray:
+        """(3, E, 27) of nodal values (N, 3)."""
+        return np.ascontiguousarray(values[self.mesh.element].transpose(2, 0, 1))
+
+    def _nodal(self, stress: np.ndarray, body_force: np.ndarray | None = None) -> np.ndarray:
+        """(N, 3) [N] of a stress (3, 3, Q) [Pa] per area of the published shape, and of forces (Q, 3) [N]."""
+        mesh = self.mesh
         weighted = (stress * mesh.volume.ravel()).reshape(3, 3, *mesh.volume.shape)
-        nodal = np.zeros_like(moved)
+        nodal = np.zeros((3, *mesh.element.shape))
         for j in range(3):
             nodal -= (weighted[:, j] * (2.0 / mesh.size[:, j, None])) @ mesh.slope[j]
         if body_force is not None:
-            nodal += np.ascontiguousarray(body_force.T).reshape(moved.shape) @ mesh.value
+            nodal += np.ascontiguousarray(body_force.T).reshape(nodal.shape) @ mesh.value
         return mesh.gather @ nodal.reshape(3, -1).T
 
     def _gradient(self, values: np.ndarray) -> np.ndarray:
@@ -168,60 +214,57 @@ class _Body:
             out[:, j] *= 2.0 / self.mesh.size[:, j, None]
         return out.reshape(3, 3, -1)
 
-    def _outside(self, x: np.ndarray, v: np.ndarray, time: float) -> np.ndarray:
-        """(N, 3) [N] of weight and of the effects that act on nodes, surface and places."""
-        field = np.broadcast_to(self.gravity, x.shape)
-        if "base_motion" in self.effects:
-            values = self.effects["base_motion"]
-            wave = math.sin(2.0 * math.pi * values["f"] * time + values["phase"])
-            field = field - wave * np.array([values[f"a_{a}"] for a in "xyz"])
-        if "mass_damping" in self.effects:
-            field = field - self.effects["mass_damping"]["alpha"] * v
-        force = self.mass[:, None] * field
+    def _outside(
+        self, x: np.ndarray, v: np.ndarray, time: float, effects: Mapping[str, Values]
+    ) -> np.ndarray:
+        """(N, 3) [N] of weight and of those `effects` that act on nodes, surface and places."""
+        force = self.mass[:, None] * self._body_field(v, time, effects)
         area = self.mesh.surface_area[:, None]
         for name in ("air_drag", "wind"):
-            if name in self.effects:
-                values = self.effects[name]
+            if name in effects:
+                values = effects[name]
                 flow = np.array([values.get(f"w_{a}", 0.0) for a in "xyz"])
                 against = v - flow
                 speed = np.linalg.norm(against, axis=1, keepdims=True)
                 force = force - 0.5 * AIR_DENSITY * values["c_d"] * area * speed * against
-        if "contact" in self.effects:
-            values = self.effects["contact"]
+        if "contact" in effects:
+            values = effects["contact"]
             normal = np.array([values[f"n_{a}"] for a in "xyz"])
             depth = np.maximum(values["d"] - x @ normal, 0.0)[:, None]
             pressing = self._contact_stiffness() * area * depth
             slip = v - (v @ normal)[:, None] * normal
             speed = np.sqrt((slip**2).sum(1, keepdims=True) + 1e-6)
             force = force + pressing * normal - values["mu"] * pressing * slip / speed
-        if "tether" in self.effects:
-            values, at = self.effects["tether"], self.places["tether"]
+        if "tether" in effects:
+            values, at = effects["tether"], self.places["tether"]
             anchor = np.array([values[f"anchor_{a}"] for a in "xyz"])
             force = force - at.T @ (values["k"] * (at @ x - anchor))
         return force
 
     def _acceleration(self, u: np.ndarray, v: np.ndarray, time: float, dt: float) -> np.ndarray:
-        force = self._inside(u, v, time, dt) + self._outside(self.mesh.nodes + u, v, time)
+        force = self._inside(u, v, time, dt) + self._outside(self.mesh.nodes + u, v, time, self.effects)
         result = force / self.mass[:, None]
         if "attached_mass" in self.effects:
             # A point mass adds m n n^T to the diagonal mass (Sherman-Morrison), and feels every body force.
             at, mass = self.places["attached_mass"], self.effects["attached_mass"]["m"]
             n = at.toarray()[0]
-            pull = self._body_field(n @ v, time)
+            pull = self._body_field(n @ v, time, self.effects)
             result = result + np.outer(n / self.mass, mass * pull)
             added = n @ (n / self.mass)
             result -= np.outer(n / self.mass, mass * (n @ result) / (1.0 + mass * added))
         return result
 
-    def _body_field(self, v: np.ndarray, time: float) -> np.ndarray:
-        """(3,) [m/s^2] acceleration by weight and body effects at a point of velocity v."""
-        field = self.gravity.copy()
-        if "base_motion" in self.effects:
-            values = self.effects["base_motion"]
+    def _body_field(self, v: np.ndarray, time: float, effects: Mapping[str, Values]) -> np.ndarray:
+        """Acceleration [m/s^2] by weight and body effects at points of velocity v, (3,) or (N, 3) [m/s]."""
+        field = np.broadcast_to(self.gravity, v.shape)
+        if "gravity" in effects:
+            field = field + np.array([effects["gravity"][f"delta_g_{a}"] for a in "xyz"])
+        if "base_motion" in effects:
+            values = effects["base_motion"]
             wave = math.sin(2.0 * math.pi * values["f"] * time + values["phase"])
-            field -= wave * np.array([values[f"a_{a}"] for a in "xyz"])
-        if "mass_damping" in self.effects:
-            field -= self.effects["mass_damping"]["alpha"] * v
+            field = field - wave * np.array([values[f"a_{a}"] for a in "xyz"])
+        if "mass_damping" in effects:
+            field = field - effects["mass_damping"]["alpha"] * v
         return field
 
     def run(self) -> Motion:
@@ -254,11 +297,11 @@ class _Body:
                     raise SimulationError(f"finite elements: unstable before frame {frame}")
             u, v = moved, late
         self._carry(places, position, velocity)
-        return Motion(position, velocity, places[:, 0] > self.start, len(times) - 1)
+        return Motion(position, velocity, ~self._in_hold(places), len(times) - 1)
 
     def _carry(self, places: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
         """Markers on what is held follow it rigidly."""
-        held = places[:, 0] <= self.start
+        held = self._in_hold(places)
         times = np.arange(self.recording.frames) / self.recording.fps
         rotation, shift = self.hold.poses(times, self.recording.fps)
         position[:, held] = np.einsum("tij,mj->tmi", rotation, places[held]) + shift[:, None]

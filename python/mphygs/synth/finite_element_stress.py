@@ -30,6 +30,12 @@ def transposed(a: np.ndarray) -> np.ndarray:
     return a.swapaxes(0, 1)
 
 
+def published(stress: np.ndarray, strained: np.ndarray) -> np.ndarray:
+    """First Piola-Kirchhoff stress (3, 3, Q) [Pa] per area of a shape that is `strained` (3, 3, Q)."""
+    j = np.einsum("aq,aq->q", strained[0], cofactor(strained)[0])
+    return times(stress, transposed(strained)) / j
+
+
 @dataclass(eq=False)
 class MaterialStress:
     """First Piola-Kirchhoff stress of all Gauss points, with the memory of what remembers.

@@ -57,8 +57,8 @@ class Recipe:
     spacing_share: of the spacing at which the object is worth TRUTH_CELLS cells, at which the truth is
     simulated (see `truth_spacing`); known: what the capture states beside Poisson's ratio, the density of the
     first part, of all parts, or the mass of the object.
-    simulator: "total-lagrangian", or "finite-element" for code that shares nothing with the model fitted; its
-    bricks are twice the spacing, having three nodes each way.
+    simulator: "total-lagrangian", or "finite-element" for code that shares nothing with the model fitted and
+    takes objects of boxes; its bricks are at most twice the spacing, having three nodes each way.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Objects of closed convex prisms that touch exactly where they meet."""
+"""Objects of closed convex prisms or of blocks that touch exactly where they meet."""
 
 from __future__ import annotations
 
@@ -54,6 +54,28 @@ def prism(name: str, outline: np.ndarray, axis: int, low: float, high: float) ->
     for k in range(count):
         following = (k + 1) % count
         faces += [(k, following, count + following), (k, count + following, count + k)]
+    return Part(name, vertices, np.array(faces, dtype=np.int64))
+
+
+def blocks(name: str, cells: np.ndarray, size: float, origin: np.ndarray) -> Part:
+    """The outer faces of equal cubes. cells: (N, 3) whole numbers; size: of a cube, origin: (3,) [m]."""
+    filled = {tuple(c) for c in cells.tolist()}
+    corners: dict[tuple[int, ...], int] = {}
+    faces = []
+    for cell in sorted(filled):
+        for axis in range(3):
+            for end in (0, 1):
+                beside = list(cell)
+                beside[axis] += 2 * end - 1
+                if tuple(beside) in filled:
+                    continue
+                square = np.tile(cell, (4, 1))
+                square[:, axis] += end
+                square[[1, 2], (axis + 1) % 3] += 1
+                square[[2, 3], (axis + 2) % 3] += 1
+                a, b, c, d = (corners.setdefault(tuple(q), len(corners)) for q in square.tolist())
+                faces += [(a, b, c), (a, c, d)] if end else [(a, c, b), (a, d, c)]
+    vertices = np.asarray(origin, float) + size * np.array(list(corners), float)
     return Part(name, vertices, np.array(faces, dtype=np.int64))
 
 
@@ -171,11 +193,57 @@ def hanging_flower(*, leaf_length: float = 0.045, leaf_half_width: float = 0.014
     return Shape(**values)
 
 
+def block_flower(
+    *, cell: float = 0.006, height: int = 12, head: int = 3, leaf: int = 7, levels: tuple[int, int] = (5, 8)
+) -> Shape:
+    """An upright flower on z of cubes, which bricks of finite elements fill exactly; rest as of `flower`.
+
+    cell: size of a cube [m]; in cells: height of the stem, half the width of the head, length of a leaf, and
+    the levels of the two leaves.
+    """
+
+    def box(x: range, y: range, z: range) -> np.ndarray:
+        return np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+
+    ball = box(range(-head, head), range(-head, head), range(height, height + 4))
+    level = (ball[:, 2] + 0.5 - height - 2.0) / 2.6
+    ball = ball[((ball[:, :2] + 0.5) ** 2).sum(1) / (head + 0.2) ** 2 + level**2 < 1.0]
+    cells = {"stem": box(range(-1, 1), range(-1, 1), range(height)), "head": ball}
+    for name, sign, at in (("leaf1", 1, levels[0]), ("leaf2", -1, levels[1])):
+        own = box(range(1, 1 + leaf), range(-2, 2), range(at, at + 1))
+        tapered = (own[:, 0] > 1) & (own[:, 0] < leaf)
+        own = own[tapered | (np.abs(own[:, 1] + 0.5) < 1.0)]
+        if sign < 0:
+            own[:, 0] = -1 - own[:, 0]
+        cells[name] = own
+    low, high = -(2 + leaf) * cell, (2 + leaf) * cell
+    return Shape(
+        name="block-flower",
+        parts=tuple(blocks(name, own, cell, np.zeros(3)) for name, own in cells.items()),
+        hold=np.array([[low, low, -1e-3], [high, high, cell]]),
+        pivot=np.zeros(3),
+        axis=np.array([0.0, 0.0, 1.0]),
+        tip=np.array([0.0, 0.0, (height + 3.5) * cell]),
+        gravity=np.array([0.0, 0.0, -9.81]),
+        rest="equilibrium",
+        youngs_modulus={"stem": 3.2e5, "head": 6e4, "leaf1": 6e4, "leaf2": 5e4},
+        density={"stem": 400.0, "head": 300.0, "leaf1": 300.0, "leaf2": 280.0},
+    )
+
+
+def hanging_block_flower(**sizes: object) -> Shape:
+    """The block flower hanging from its hold."""
+    upright = block_flower(**sizes)
+    return Shape(**{**upright.__dict__, "name": "hanging-block-flower", "gravity": -upright.gravity})
+
+
 SHAPES: Mapping[str, Callable[..., Shape]] = {
     "bar": bar,
     "two-part-bar": two_part_bar,
     "flower": flower,
     "hanging-flower": hanging_flower,
+    "block-flower": block_flower,
+    "hanging-block-flower": hanging_block_flower,
 }
 
 
