@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -68,11 +68,11 @@ def measured(folder: Path, options: Options) -> str:
     ways = smooth_ways(belief, predictor.body, hung=masses_of_loads(capture, [name]))
     ways += base_motion_ways(belief, [float(f) for f in range(1, SHAKES + 1)])
     columns = [pair for way in ways for pair in way.columns]
-    substep = predictor.stable_substep(belief)  # said, or a prediction that is kept would come back
-    fine_substep = finer.stable_substep(belief)
+    substep, fine_substep = predictor.stable_substep(belief), finer.stable_substep(belief)
+    # Copies: a prediction of the same object that is kept would come back.
     turns = {
-        "forward": lambda: predictor.predict(belief, last=last, substep=substep),
-        "fit": lambda: finer.predict(belief, last=last, substep=fine_substep),
+        "forward": lambda: predictor.predict(replace(belief), last=last, substep=substep),
+        "fit": lambda: finer.predict(replace(belief), last=last, substep=fine_substep),
         "tangents": lambda: predictor.predict(belief, last=last, substep=substep, candidates=columns),
     }
     seconds: dict[str, list[float]] = {what: [] for what in turns}

@@ -21,7 +21,7 @@ from mphygs.synth.truth import Motion
 
 AIR_DENSITY = 1.2  # [kg/m^3]
 # Share of the stable step that is used.
-SAFETY = 0.6
+SAFETY = 0.75
 OUTSIDE = (
     "gravity", "mass_damping", "air_drag", "wind", "contact", "attached_mass", "tether", "base_motion",
     "compressibility", "stiffness_gradient", "density_gradient",
@@ -86,11 +86,11 @@ class _Body:
         }
         self.youngs_modulus = float(youngs.max())
         self.modulus = lame + 2.0 * mu
-        self.density = np.broadcast_to(at_points, mesh.volume.shape)
+        self.density = at_points
         # Deformation (3, 3, Q) of the published shape from the stress-free one, None where they are the same.
         self.strained: np.ndarray | None = None
         if capture.rest == "equilibrium":
-            self._strain(np.broadcast_to(mu, mesh.volume.shape), np.broadcast_to(lame, mesh.volume.shape))
+            self._strain(mu, lame)
 
     def _in_hold(self, points: np.ndarray) -> np.ndarray:
         """(M,) whether points [m] lie in the hold's box."""
