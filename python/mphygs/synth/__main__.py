@@ -62,9 +62,9 @@ class SynthOptions(CommonOptions):
     """What the capture tells of the masses: density of the first part, of all parts, or the whole mass."""
     spacing_share: float = 0.62
     """Grid spacing of the truth over that at which the object is worth 250 cells."""
-    simulator: Literal["total-lagrangian", "finite-element"] = "total-lagrangian"
-    """What computes the truth: the core on its own grid, or independent finite elements, which take bars and
-    flowers of blocks."""
+    simulator: Literal["total-lagrangian", "mls", "finite-element"] = "total-lagrangian"
+    """What computes the truth: the core by one of its transfers on a grid of its own, or independent finite
+    elements, which take bars and flowers of blocks."""
     seed: int = 0
     """Of materials, marker places and noise."""
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mphygs.capture.motions import Motion
+from mphygs.simulate.settings import TRANSFERS
 from mphygs.synth.hidden import Hidden, parse
 from mphygs.synth.markers import Noise
 from mphygs.synth.shapes import Shape, shape
 
-SIMULATORS = ("total-lagrangian", "finite-element")
+SIMULATORS = (*TRANSFERS, "finite-element")
 KNOWN = ("first-density", "densities", "mass")
 
 
@@ -57,8 +58,9 @@ class Recipe:
     spacing_share: of the spacing at which the object is worth TRUTH_CELLS cells, at which the truth is
     simulated (see `truth_spacing`); known: what the capture states beside Poisson's ratio, the density of the
     first part, of all parts, or the mass of the object.
-    simulator: "total-lagrangian", or "finite-element" for code that shares nothing with the model fitted and
-    takes objects of boxes; its bricks are at most twice the spacing, having three nodes each way.
+    simulator: a transfer of the core, "total-lagrangian" or "mls", or "finite-element" for code that shares
+    nothing with the model fitted and takes objects of boxes; its bricks are at most twice the spacing, having
+    three nodes each way.
     """
 
     name: str

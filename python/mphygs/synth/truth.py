@@ -13,7 +13,7 @@ from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 from mphygs.simulate.body import Body
 from mphygs.simulate.prediction import Predictor
-from mphygs.simulate.settings import Settings
+from mphygs.simulate.settings import MLS, Settings
 from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.recipe import Recipe
@@ -45,13 +45,18 @@ def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> B
 def simulate(
     capture: Capture, recording: Recording, recipe: Recipe, hidden: Sequence[Hidden], spacing: float
 ) -> Motion:
-    """True motion of the markers of one recording under what is hidden (faults aside).
+    """True motion of the markers of one recording under what is hidden (faults aside), by the core.
 
-    spacing: of the grid [m]. Raises SimulationError where the motion cannot be computed.
+    spacing: of the grid [m]. Raises ValueError for what the recipe's transfer cannot have, SimulationError
+    where the motion cannot be computed.
     """
     belief = true_belief(capture, recipe, hidden)
     causes = [thing for thing in hidden if thing.kind == "cause"]
-    settings = Settings(spacing=spacing, workers=1)
+    if causes and recipe.simulator == MLS:
+        raise ValueError(
+            f"'{causes[0].name}': not with the simulator {MLS}, which feels the core's effects only"
+        )
+    settings = Settings(spacing=spacing, workers=1, transfer=recipe.simulator)
     predictor = CausedPredictor(capture, recording, settings, causes)
     prediction = predictor.predict(belief)
     return Motion(
