@@ -138,7 +138,6 @@ CASES: tuple[Case, ...] = (
         group_of=("viscosity",),
     ),
     _elements("null", "null"),
-    _elements("viscosity", "single", "viscosity:eta=150"),
     _elements("mass_damping", "single", "mass_damping:alpha=1.2"),
     _elements("air_drag", "single", "air_drag:c_d=1.6", kind="hanging-block-flower"),
     _elements("wind", "single", "wind:w_x=1.4:w_y=0.5:c_d=1.5"),
