@@ -678,6 +678,31 @@ def test_only_what_pays_sets_a_bound_for_others(
 
 
 @pytest.mark.parametrize(
+    ("fifth", "worst", "followed"),
+    [
+        # as little beyond noise as rivals may leave, or as the best one and a quarter more
+        (1.09, 1.0, True),
+        (1.11, 1.0, False),
+        # three times what the best one leaves, as long as none is at the noise; not for ever
+        (1.59, 1.2, True),
+        (1.61, 1.2, False),
+    ],
+)
+def test_near_the_floor_more_are_brought_to_the_end(fifth: float, worst: float, followed: bool) -> None:
+    """The first one leaves 0.05 of the noise's mean square, or 0.2 where none gets to the noise."""
+    rows, first = 100, 1.05 if worst == 1.0 else 1.2
+    left = [first, first + 0.01, first + 0.02, first + 0.03, fifth, fifth, fifth]
+    begun = [
+        (rows * value, entry_of("viscosity", 1e4), solution_of(plain_belief(), evaluation_of(rows * value)))
+        for value in left
+    ]
+    gain = GainInterval(1.0, 0.5, 1.5, 10)
+    finished = [refit_of(gain=gain, drop=1e4, assessment=assessment_of(worst))]
+    assert refits._worth_the_end(begun, 4, finished) is followed
+    assert refits._worth_the_end(begun, 6, finished) is (followed and worst == 1.0)
+
+
+@pytest.mark.parametrize(
     ("misfits", "behind"),
     [
         # 0.21 beyond noise: what leaves ten times as much is astray
@@ -832,18 +857,21 @@ def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
 def test_near_the_floor_those_after_the_third_are_held_by_what_they_leave_beyond_it(
     misfit: float, asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """100 rows: beyond them the best leaves 20, the fourth 24, the fifth 26, within a quarter of 120."""
+    """100 rows: beyond them the best leaves 20, the fourth 24, the fifth 26, within a quarter of 120; all get
+    to the noise in the end."""
     chi_squares = {"tether": 120, "wind": 121, "fibre": 122, "gravity": 124, "air_drag": 126}
     finished: list[str] = []
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(float(chi_squares[entry.effect]), 100))
 
-    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> None:
+    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> Refit:
         finished.append(entry.effect)
+        return refit_of(gain=GainInterval(1.0, 0.5, 1.5, 10), drop=1e4)
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
     monkeypatch.setattr(refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(refits, "unabsorbed", lambda *_: 0.0)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
     ranking = ranking_of(*entries, misfit=misfit)

@@ -13,7 +13,7 @@ from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend.met_again import onward
 from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
 from mphygs.extend.setting_in import fit_what_sets_in
-from mphygs.extend.settle import ALIKE, RIVAL
+from mphygs.extend.settle import ALIKE, ALIKE_EXCESS, RIVAL
 from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, without_memory
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
@@ -280,9 +280,10 @@ def _finished(
         # What the coarse grid has of its own may put the true effect a little behind.
         # Only one that pays ends the search.
         behind = ALIKE if near and any(r.pays for r in finished) else BEHIND
-        # All are within a factor near the floor: there what they leave beyond it tells.
-        floor = solution.evaluation.data_rows if near and number >= FINISHED else 0
-        if chi_square - floor > (behind if number < FINISHED else NEARLY) * (begun[0][0] - floor):
+        if near and number >= FINISHED:
+            if not _worth_the_end(begun, number, finished):
+                break
+        elif chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]:
             break
         result = finish_refit(
             experiment,
@@ -304,6 +305,19 @@ def _finished(
                 "in the worst range"
             )
     return finished
+
+
+def _worth_the_end(
+    begun: Sequence[tuple[float, Entry, Solution]], number: int, finished: Sequence[Refit]
+) -> bool:
+    """Whether a further refit is brought to the end near the floor, where all are within a factor of the best
+    and what they leave beyond noise tells: as little as the best, or as rivals may; or, as long as none of so
+    many again is at the noise, what the true effect may leave after few iterations."""
+    rows = begun[number][2].evaluation.data_rows
+    beyond, least = begun[number][0] - rows, begun[0][0] - rows
+    if beyond <= max(NEARLY * least, ALIKE_EXCESS * rows):
+        return True
+    return number < 2 * FINISHED and beyond <= BEHIND * least and not any(_at_noise(r) for r in finished)
 
 
 def followed_onward(
