@@ -955,8 +955,36 @@ def test_refits_begin_from_other_materials_too(monkeypatch: pytest.MonkeyPatch) 
 def test_less_is_hoped_for_where_one_is_at_the_noise(best: float, behind: bool) -> None:
     """3 sigma of 1000 rows; an effect that promises 3000 has to bring nearly three times as much."""
     ranking = replace(ranking_of(), chi_square=1e4, rows=1000)
-    assert refits._far_behind(entry_of("gravity", 3e3), ranking, best) is behind
-    assert not refits._far_behind(entry_of("gravity", 4.5e3), ranking, best)
+    begun = [begun_at(best, 9e3)]
+    assert refits._far_behind(entry_of("gravity", 3e3), ranking, begun) is behind
+    assert not refits._far_behind(entry_of("gravity", 4.5e3), ranking, begun)
+
+
+def begun_at(chi_square: float, promised: float, kind: str = "smooth") -> tuple[float, Entry, Solution]:
+    """A refit that was begun: what it left, and what its tangents had promised to take."""
+    entry = entry_of("mass_damping", promised, kind=kind)
+    return chi_square, entry, solution_of(plain_belief(), evaluation_of(chi_square))
+
+
+@pytest.mark.parametrize(
+    ("promised", "left", "kind", "behind"),
+    [
+        # 10000 of which 2000 were promised, 1100 left: who promises 1900 may do as well
+        (2e3, 1100.0, "smooth", False),
+        # not who promises far less,
+        (2.2e3, 1100.0, "smooth", True),
+        # nor where that one was far behind itself,
+        (2e3, 1600.0, "smooth", True),
+        # nor where trials promised.
+        (2e3, 1100.0, "threshold", True),
+    ],
+)
+def test_what_promises_as_much_as_one_that_leads_is_begun(
+    promised: float, left: float, kind: str, behind: bool
+) -> None:
+    ranking = replace(ranking_of(), chi_square=1e4, rows=1000)
+    begun = [begun_at(1100.0, 9e3), begun_at(left, promised, kind)]
+    assert refits._far_behind(entry_of("relaxation", 1.9e3), ranking, begun) is behind
 
 
 # ---- which effects are kept -------------------------------------------------------------------

@@ -40,6 +40,8 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # one is at the noise; one that would not come near the best one even then is not begun. What sets in has no
 # tangents.
 TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
+# Unless one that promised hardly more comes near: then tangents promise too little. This share is as much.
+AS_MUCH = 0.9
 # Where a refit to the first frames predicts the others to LINEAR, those that leave so many times as much
 # beyond noise there are behind; what is less than the second number [of the noise's mean square] is noise.
 ASTRAY, NOISE = 10.0, 0.1
@@ -98,7 +100,7 @@ def refits_of(
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
         # Seen from other materials no first iteration says how far one leads, and a few frames cost little.
         hopeless = HOPELESS * best if beside is None else np.inf
-        chosen = [entry for entry in wave if not _far_behind(entry, ranking, best)]
+        chosen = [entry for entry in wave if not _far_behind(entry, ranking, begun)]
 
         def start(own: Experiment, entry: Entry, hopeless: float = hopeless) -> Solution | None:
             ways = [(window[1], entry)] if entry is not others.get(entry.effect) else []
@@ -257,12 +259,19 @@ def _with_others(entries: Sequence[Entry], others: Mapping[str, Entry]) -> list[
     return [*(entry for name, entry in others.items() if name not in known), *entries]
 
 
-def _far_behind(entry: Entry, ranking: Ranking, best: float) -> bool:
-    """Whether an entry stays behind a chi^2 that is reached even if it brings many times its promise."""
+def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[tuple[float, Entry, Solution]]) -> bool:
+    """Whether an entry stays behind what is reached even if it brings many times its promise; not where one
+    that promised hardly more is near the best already."""
+    best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
     times = BEYOND_TANGENTS if best > BUDGET_FLOOR * ranking.rows else BEYOND_NOISE
     least = ranking.chi_square - times * entry.statistic
     telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
-    return telling and least > ALIKE * best
+    promised_too_little = any(
+        AS_MUCH * other.statistic < entry.statistic
+        for chi_square, other, _ in begun
+        if other.kind != "threshold" and chi_square < ALIKE * best
+    )
+    return telling and least > ALIKE * best and not promised_too_little
 
 
 def _finished(
