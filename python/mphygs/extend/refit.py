@@ -142,8 +142,9 @@ def start_refit(
     whichever fits best; where it has several starts, from the one that is best after an iteration. A few more
     as long as they bring much.
 
-    share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends after the
-    first iteration; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
+    share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends once an
+    iteration brings little; lender: the same fit on a coarser grid, whose Jacobians lead as far as they
+    serve.
     Returns None where no such model can be simulated.
     """
     problem = experiment.window(spacing, share)
@@ -159,10 +160,15 @@ def start_refit(
     if not begun:
         return None
     solution = min(begun, key=lambda item: item.evaluation.chi_square)
-    done = len(solution.history) - 1
-    if iterations > 1 and not solution.converged and solution.evaluation.chi_square < hopeless:
+    done, left = len(solution.history) - 1, iterations - 1
+    while left > 0 and solution.evaluation.chi_square >= hopeless:
+        further = _further(problem, solution)
+        if further is None:
+            break
+        solution, done, left = further, done + 1, left - 1
+    if left > 0 and not solution.converged and solution.evaluation.chi_square < hopeless:
         try:
-            solution = minimise(problem, solution.belief, iterations=iterations - 1, relative_tolerance=1e-3)
+            solution = minimise(problem, solution.belief, iterations=left, relative_tolerance=1e-3)
         except SimulationError:
             return None
         done += len(solution.history) - 1

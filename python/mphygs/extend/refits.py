@@ -45,8 +45,8 @@ AS_MUCH = 0.9
 # Where a refit to the first frames predicts the others to LINEAR, those that leave so many times as much
 # beyond noise there are behind; what is less than the second number [of the noise's mean square] is noise.
 ASTRAY, NOISE = 10.0, 0.1
-# An effect that leaves so many times the best one's chi^2 after an iteration is not followed; one that leaves
-# so many times as much once it was followed onward is not brought to the end.
+# An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
+# followed; one that leaves so many times as much once it was followed onward is not brought to the end.
 HOPELESS, BEHIND = 10.0, 3.0
 
 
