@@ -146,8 +146,14 @@ CASES: tuple[Case, ...] = (
     _elements("base_motion", "single", "base_motion:a_x=0.8:a_y=0.4:f=3.2"),
     _elements("contact", "single", "contact:n_x=-0.94:n_y=-0.34:d=-0.056:mu=0.3"),
     _elements("relaxation", "single", "relaxation:ratio=0.6:tau=0.08"),
+    _elements("tether", "single", "tether:k=0.6"),
+    _elements("eigenstrain", "single", "eigenstrain:rate=0.03"),
+    _elements("stiffening", "single", "stiffening"),
+    _elements("late-gravity", "single", "gravity:delta_g_x=0.7:delta_g_y=-0.4:at_rest=false"),
     _elements("time_offset", "fault", "time_offset:offset=0.011"),
     _elements("cubic_drag", "outside", "cubic_drag:c_3=22:part=head"),
+    _elements("actuation", "outside", "actuation:amplitude=6000:f=2.6:part=stem"),
+    _elements("point_field", "outside", "point_field:strength=0.003:x=0.06:y=0.02:z=0.1"),
 )
 
 

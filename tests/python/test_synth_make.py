@@ -138,3 +138,16 @@ def test_the_embedded_capture_is_made_once_and_holds_its_answer(tmp_path) -> Non
     assert [s.name for s in capture.sequences] == ["release", "shake"]
     written = (folder / "answer.json").stat().st_mtime_ns
     assert embedded_capture(folder).joinpath("answer.json").stat().st_mtime_ns == written
+
+
+@pytest.mark.parametrize(
+    ("kind", "simulator"), [("two-part-bar", "total-lagrangian"), ("block-flower", "finite-element")]
+)
+def test_progress_is_told_frame_by_frame_and_ends_at_the_whole(kind, simulator, tmp_path) -> None:
+    made_of = small(kind, ("air_drag",), frames=6, simulator=simulator, spacing_share=2.0)
+    told = []
+    make_capture(made_of, tmp_path, report=lambda share, text: told.append((share, text)))
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares) and shares[0] == 0.0 and shares[-1] == 1.0
+    for text in ("a: 6 frames", "a: without what is hidden"):
+        assert len({share for share, said in told if said.startswith(text)}) >= 3

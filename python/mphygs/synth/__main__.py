@@ -20,6 +20,8 @@ from mphygs.synth.recipe import Recipe, default_takes, recipe
 from mphygs.synth.shapes import shape
 
 PROGRAM = "mphygs synth"
+# Seconds between two lines of progress.
+TOLD_EVERY = 10.0
 # Objects of prisms whose name here is another than in the library.
 PRISMS = {"prism-flower": "flower"}
 
@@ -80,13 +82,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 def synth(options: SynthOptions, console: Console) -> Answer:
     """Make the capture and say what is hidden in it."""
     made_of = _recipe(options)
-    simulations = len(made_of.takes) * (2 if made_of.hidden else 1)
-    done = 0
+    last: tuple[str, float] | None = None
 
-    def tell(text: str) -> None:
-        nonlocal done
-        console.progress(done / simulations, text)
-        done += 1
+    def tell(share: float, text: str) -> None:
+        nonlocal last
+        if last is None or text != last[0] or console.seconds >= last[1] + TOLD_EVERY:
+            console.progress(share, text)
+            last = text, console.seconds
 
     made = make_capture(made_of, options.out, report=tell)
     answer = made.answer

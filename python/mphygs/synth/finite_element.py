@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -30,12 +30,18 @@ KNOWN = (*MaterialStress.KNOWN, *OUTSIDE)
 
 
 def simulate_finite_element(
-    capture: Capture, recording: Recording, recipe: Recipe, hidden: Sequence[Hidden], spacing: float
+    capture: Capture,
+    recording: Recording,
+    recipe: Recipe,
+    hidden: Sequence[Hidden],
+    spacing: float,
+    progress: Callable[[int], bool] | None = None,
 ) -> Motion:
     """True motion of the markers of one recording, by central differences in time.
 
-    spacing: of a grid as fine as the bricks [m]. Raises ValueError for objects and effects that it does not
-    know, SimulationError where the motion is unstable or no stress-free shape is found.
+    spacing: of a grid as fine as the bricks [m]; progress: told the number of frames after release that
+    are done. Raises ValueError for objects and effects that it does not know, SimulationError where the
+    motion is unstable or no stress-free shape is found.
     """
     for thing in hidden:
         if thing.kind == "effect" and thing.name not in KNOWN:
@@ -44,7 +50,7 @@ def simulate_finite_element(
             )
     # A brick has three nodes each way, a grid cell one of its own: twice the size is as fine.
     body = _Body(capture, recording, recipe, hidden, 2.0 * spacing)
-    return body.run()
+    return body.run(progress)
 
 
 class _Body:
@@ -267,7 +273,7 @@ class _Body:
             field = field - effects["mass_damping"]["alpha"] * v
         return field
 
-    def run(self) -> Motion:
+    def run(self, progress: Callable[[int], bool] | None = None) -> Motion:
         """Markers in all frames: central differences, velocities at the half steps."""
         recording, mesh = self.recording, self.mesh
         places = recording.markers.at
@@ -295,6 +301,8 @@ class _Body:
                 velocity[frame] = markers @ (late + 0.5 * dt * kick)
                 if not np.isfinite(position[frame]).all():
                     raise SimulationError(f"finite elements: unstable before frame {frame}")
+                if progress:
+                    progress(frame - first)
             u, v = moved, late
         self._carry(places, position, velocity)
         return Motion(position, velocity, ~self._in_hold(places), len(times) - 1)

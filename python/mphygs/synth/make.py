@@ -34,11 +34,12 @@ def make_capture(
     folder: str | Path,
     *,
     measure_signal: bool = True,
-    report: Callable[[str], None] | None = None,
+    report: Callable[[float, str], None] | None = None,
 ) -> Made:
     """Simulate a recipe and write the capture and its answer.json to `folder`.
 
-    measure_signal: also simulate without what is hidden, to state its size over the noise.
+    measure_signal: also simulate without what is hidden, to state its size over the noise; report: told,
+    frame by frame, the share of the work that is done and what is simulated.
     Raises ValueError for a recipe that contradicts itself, SimulationError where it cannot be simulated.
     """
     folder = Path(folder)
@@ -49,13 +50,15 @@ def make_capture(
     spacing = truth_spacing(recipe.spacing_share, sum(part.volume for part in capture.parts))
     run = simulate_finite_element if recipe.simulator == "finite-element" else simulate
     physics = tuple(h for h in recipe.hidden if h.kind != "fault")
+    compared = bool(recipe.hidden and measure_signal)
+    work = _Work(report, sum(_moving(t) for t in recipe.takes) * (2 if compared and physics else 1))
     recordings, differences, outliers, substeps = [], [], {}, []
     motions: dict[str, Motion] = {}
     for number, (take, recording) in enumerate(zip(recipe.takes, capture.sequences, strict=True)):
         longer = _recording(recipe, take, places, extra=max(0, math.ceil(offset * take.fps)))
-        if report:
-            report(f"{take.name}: {longer.frames} frames at {1e3 * spacing:.3g} mm")
-        motions[take.name] = motion = run(capture, longer, recipe, physics, spacing)
+        text = f"{take.name}: {longer.frames} frames at {1e3 * spacing:.3g} mm"
+        told = work.simulation(text, _moving(take))
+        motions[take.name] = motion = run(capture, longer, recipe, physics, spacing, told)
         substeps.append(motion.substeps)
         seen, lost = _seen(motion, take, faults, offset, np.random.default_rng([recipe.seed, 3, number]))
         if len(lost):
@@ -63,14 +66,11 @@ def make_capture(
         # Noise of its own seed: the same with and without a fault that draws numbers.
         tracks = measure(seen, recipe.noise, np.random.default_rng([recipe.seed, 4, number]))
         recordings.append(replace(recording, markers=Markers(tracks, places, recipe.noise.sigma)))
-        if recipe.hidden and measure_signal:
-            if report:
-                report(f"{take.name}: without what is hidden")
-            plain = (
-                run(capture, recording, recipe, (), spacing).position
-                if physics
-                else motion.position[: take.frames]
-            )
+        if compared:
+            plain = motion.position[: take.frames]
+            if physics:
+                told = work.simulation(f"{take.name}: without what is hidden", _moving(take))
+                plain = run(capture, recording, recipe, (), spacing, told).position
             differences.append(_difference(seen, plain, take, recipe.noise.sigma))
     capture = replace(capture, sequences=tuple(recordings))
     save_capture(capture, folder)
@@ -80,6 +80,31 @@ def make_capture(
         json.dumps(answer, indent=1, allow_nan=False) + "\n", encoding="utf-8"
     )
     return Made(folder, answer)
+
+
+class _Work:
+    """Says through `report`, where there is one, how much of so many frames is simulated."""
+
+    def __init__(self, report: Callable[[float, str], None] | None, frames: int) -> None:
+        self._report, self._frames, self._end = report, frames, 0
+
+    def simulation(self, text: str, frames: int) -> Callable[[int], bool]:
+        """Begin a simulation; what is returned is called with the number of its frames that are done."""
+        begin = self._end
+        self._end += frames
+
+        def tell(done: int) -> bool:
+            if self._report:
+                self._report((begin + min(done, frames)) / self._frames, text)
+            return True
+
+        tell(0)
+        return tell
+
+
+def _moving(take: Take) -> int:
+    """Number of frames after the release."""
+    return take.frames - 1 - (take.release or 0)
 
 
 def _bare_capture(recipe: Recipe, folder: Path, places: np.ndarray) -> Capture:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,12 +43,18 @@ def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> B
 
 
 def simulate(
-    capture: Capture, recording: Recording, recipe: Recipe, hidden: Sequence[Hidden], spacing: float
+    capture: Capture,
+    recording: Recording,
+    recipe: Recipe,
+    hidden: Sequence[Hidden],
+    spacing: float,
+    progress: Callable[[int], bool] | None = None,
 ) -> Motion:
     """True motion of the markers of one recording under what is hidden (faults aside), by the core.
 
-    spacing: of the grid [m]. Raises ValueError for what the recipe's transfer cannot have, SimulationError
-    where the motion cannot be computed.
+    spacing: of the grid [m]; progress: told the number of frames after release that are done.
+    Raises ValueError for what the recipe's transfer cannot have, SimulationError where the motion cannot be
+    computed.
     """
     belief = true_belief(capture, recipe, hidden)
     causes = [thing for thing in hidden if thing.kind == "cause"]
@@ -58,7 +64,7 @@ def simulate(
         )
     settings = Settings(spacing=spacing, workers=1, transfer=recipe.simulator)
     predictor = CausedPredictor(capture, recording, settings, causes)
-    prediction = predictor.predict(belief)
+    prediction = predictor.predict(belief, progress=progress)
     return Motion(
         prediction.position, prediction.velocity, predictor.attachment.hold < 0, prediction.substeps
     )
