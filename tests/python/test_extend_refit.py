@@ -24,6 +24,7 @@ from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
 from mphygs.fit import levenberg_marquardt
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
@@ -173,6 +174,35 @@ def test_a_refit_that_still_falls_goes_on(
     assert found.history[-1] == costs[made - 1] and f"after {made} iterations" in said[0]
 
 
+@pytest.mark.parametrize(
+    # below from the start, on the way, and never
+    "hopeless",
+    [2e5, 6e4, 1.0],
+)
+def test_a_hopeless_refit_that_falls_has_as_many_iterations_as_another(
+    hopeless: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, before, usual, _ = scene()
+
+    def at(chi_square: float) -> Evaluation:
+        residual = np.zeros_like(before.evaluation.residual)
+        residual[0] = math.sqrt(chi_square)
+        return replace(before.evaluation, residual=residual)
+
+    left = [1e5 * 0.5**k for k in range(20)]
+
+    def further(_problem: object, belief: Belief, *, iterations: int, **_: object) -> Solution:
+        costs = [left.pop(0) for _ in range(iterations + 1)]
+        left.insert(0, costs[-1])
+        return Solution(belief, at(costs[-1]), tuple(costs), False, "iterations used up")
+
+    first = Solution(usual.start, at(1e5), (2e5, 1e5), False, "iterations used up")
+    monkeypatch.setattr(refit, "_led", lambda *_: first)
+    monkeypatch.setattr(refit, "minimise", further)
+    _, said = begun(iterations=2, hopeless=hopeless)
+    assert f"after {2 + refit.MORE} iterations" in said[0]
+
+
 def test_a_refit_finds_its_effect() -> None:
     _, before, entry, _ = scene()
     solution, said = begun()
@@ -244,7 +274,9 @@ def test_a_gradient_s_axis_is_sought_among_those_of_its_part() -> None:
 
 def test_a_hopeless_refit_ends_once_it_hardly_falls(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(levenberg_marquardt, "SECANTS", 0)  # with them the first iteration is the last
-    once, _ = begun(iterations=1)
+    with monkeypatch.context() as patch:
+        patch.setattr(refit, "MORE", 0)
+        once, _ = begun(iterations=1)
     first = once.evaluation.chi_square
     # The first iteration took more than three tenths of the cost: another one is made, and takes it below.
     fallen, said = begun(hopeless=0.9 * first)
@@ -327,7 +359,12 @@ def test_a_refit_near_the_floor_begins_anew_before_its_place_is_sought(
     assert done == begun
 
 
-def test_a_refit_that_hardly_falls_is_not_brought_further(monkeypatch: pytest.MonkeyPatch) -> None:
+# Far from the floor an iteration has to bring more.
+@pytest.mark.parametrize(("far", "brings"), [(refit.FAR, refit.BRINGS), (0.5, refit.BRINGS_FAR)])
+def test_a_refit_that_hardly_falls_is_not_brought_further(
+    far: float, brings: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refit, "FAR", far)
     experiment, before, entry, _ = scene()
     solution, _ = begun(iterations=1)
     compared = experiment.compare(before.belief, SPACING, jacobian=False)
@@ -343,7 +380,7 @@ def test_a_refit_that_hardly_falls_is_not_brought_further(monkeypatch: pytest.Mo
         experiment, before, compared, entry, solution, SPACING,
         generator=np.random.default_rng(0), accuracy=2e-3, iterations=8, anew=False,
     )  # fmt: skip
-    assert asked[:2] == [(3, 0.0), (5, pytest.approx(refit.BRINGS * 2e-3))]
+    assert asked[:2] == [(3, 0.0), (5, pytest.approx(brings * 2e-3))]
 
 
 # ---- the gain on unseen frames ----------------------------------------------------------------

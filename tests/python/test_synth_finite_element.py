@@ -1,14 +1,17 @@
 """The independent finite elements and the core tell the same story, effect by effect."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mphygs.capture.format import load_capture
 from mphygs.synth.brick_mesh import brick_mesh
+from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.finite_element_stress import MaterialStress
-from mphygs.synth.make import make_capture
+from mphygs.synth.make import _bare_capture, _recording, make_capture
+from mphygs.synth.recipe import truth_spacing
 from mphygs.synth.shapes import block_flower, flower, two_part_bar
 from synth_example import made, small, tracks
 
@@ -155,8 +158,6 @@ def test_a_flower_of_blocks_is_meshed_to_its_surface() -> None:
     head, leaf, section = 4.0, 2.0, 4.0
     faces = sum(part.area for part in body.parts) / 0.006**2 - 2.0 * (head + 2.0 * leaf) - (8.0 + section)
     assert mesh.surface_area.sum() == pytest.approx(faces * 0.006**2)
-    for part in body.parts:
-        assert (part.vertices[part.faces[:, 0]] != part.vertices[part.faces[:, 1]]).any(axis=1).all()
 
 
 def unmoved(folder, hidden: tuple[str, ...], frames: int = 3) -> np.ndarray:
@@ -172,6 +173,8 @@ def unmoved(folder, hidden: tuple[str, ...], frames: int = 3) -> np.ndarray:
     "hidden",
     [
         ("attached_mass:m=1e-3",),
+        # in a brick that the hold grips in part
+        ("attached_mass:m=1e-3:place=0.002/0/0.008",),
         pytest.param((), marks=pytest.mark.slow),
         pytest.param(("wind:w_x=2:c_d=1.5:at_rest=true",), marks=pytest.mark.slow),
         pytest.param(("fibre",), marks=pytest.mark.slow),
@@ -185,6 +188,22 @@ def test_a_load_that_came_after_the_scan_makes_it_swing(tmp_path) -> None:
     moved = unmoved(tmp_path, ("wind:w_x=2:w_y=0:c_d=1.5:at_rest=false",))
     assert 1e-3 < moved[-1, :, 0].max() < 2e-2
     assert moved[-1, :, 0].min() > -1e-3
+
+
+def test_velocities_are_those_of_the_positions_beside_the_hold_too() -> None:
+    recipe = small("two-part-bar", frames=40, simulator="finite-element", spacing_share=2.0)
+    shake = replace(recipe.takes[0].motions[0], start=0.0, frequency=60.0, ramp=0.004)
+    fast = replace(recipe.takes[0], motions=(shake,), fps=8000.0, release=0)
+    low, high = recipe.shape.hold
+    beside = np.array([[high[0] + 0.002, *(0.5 * (low + high))[1:]], recipe.shape.tip])
+    capture = _bare_capture(recipe, Path(), beside)
+    motion = simulate_finite_element(
+        capture, _recording(recipe, fast, beside), recipe, (), truth_spacing(2.0, recipe.shape.volume)
+    )
+    # The shake begins with a jump of its acceleration.
+    between = 0.5 * 8000.0 * (motion.position[4:] - motion.position[2:-2])
+    assert np.abs(between[:, 0]).max() > 0.1
+    np.testing.assert_allclose(motion.velocity[3:-1], between, atol=0.01 * np.abs(between).max())
 
 
 @pytest.mark.slow

@@ -39,8 +39,9 @@ SHORTEST_SUBSTEP = 0.3
 # A refit that leaves so much [sigma] is near the floor and not at it: its materials may be where a model
 # without the effect had drawn them.
 AT_FLOOR, NEAR_FLOOR = 1.03, 1.25
-# A refit ends where an iteration brings less than so many times what the last one may promise.
-BRINGS = 5.0
+# A refit ends where an iteration brings less than so many times what the last one may promise; more times
+# where it leaves more than so much [sigma]: at that pace it does not get near the floor any more.
+BRINGS, FAR, BRINGS_FAR = 5.0, 2.0, 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +144,8 @@ def start_refit(
     as long as they bring much.
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends once an
-    iteration brings little; lender: the same fit on a coarser grid, whose Jacobians lead as far as they
-    serve.
+    iteration brings little, or as many are made as any refit may have; lender: the same fit on a coarser
+    grid, whose Jacobians lead as far as they serve.
     Returns None where no such model can be simulated.
     """
     problem = experiment.window(spacing, share)
@@ -160,26 +161,35 @@ def start_refit(
     if not begun:
         return None
     solution = min(begun, key=lambda item: item.evaluation.chi_square)
-    done, left = len(solution.history) - 1, iterations - 1
-    while left > 0 and solution.evaluation.chi_square >= hopeless:
-        further = _further(problem, solution)
-        if further is None:
-            break
-        solution, done, left = further, done + 1, left - 1
-    if left > 0 and not solution.converged and solution.evaluation.chi_square < hopeless:
-        try:
-            solution = minimise(problem, solution.belief, iterations=left, relative_tolerance=1e-3)
-        except SimulationError:
-            return None
-        done += len(solution.history) - 1
-        for _ in range(MORE):
-            further = _further(problem, solution)
-            if further is None:
-                break
-            solution, done = further, done + 1
+    done, most = len(solution.history) - 1, iterations + MORE
+    solution, done = _falling(problem, solution, done, most, hopeless)
+    if solution.evaluation.chi_square < hopeless:
+        if done < iterations and not solution.converged:
+            try:
+                solution = minimise(
+                    problem, solution.belief, iterations=iterations - done, relative_tolerance=1e-3
+                )
+            except SimulationError:
+                return None
+            done += len(solution.history) - 1
+        solution, done = _falling(problem, solution, done, most)
     if report:
         report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
     return solution
+
+
+def _falling(
+    problem: Problem, solution: Solution, done: int, most: int, until: float = 0.0
+) -> tuple[Solution, int]:
+    """A solution gone on with as long as an iteration brings much, to `most` of them or below a chi^2.
+
+    done: the number of those made, returned with it; until: that chi^2."""
+    while done < most and solution.evaluation.chi_square >= until:
+        further = _further(problem, solution)
+        if further is None:
+            break
+        solution, done = further, done + 1
+    return solution, done
 
 
 def _further(problem: Problem, solution: Solution) -> Solution | None:
@@ -267,9 +277,10 @@ def finish_refit(
         if solution.evaluation.chi_square > hopeless:
             return None
         if not solution.converged:
+            brings = BRINGS_FAR if solution.evaluation.misfit > FAR else BRINGS
             solution = minimise(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy,
-                least=BRINGS * accuracy, report=tell,
+                least=brings * accuracy, report=tell,
             )  # fmt: skip
         near = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
         if anew and near and entry.kind != "threshold":

@@ -16,7 +16,7 @@ from mphygs.capture.meshes import Part
 from mphygs.scene.rays import inside
 
 # Two coordinates closer than this are one [m].
-_SAME = 1e-7
+SAME = 1e-7
 _LOBATTO = np.array([-1.0, 0.0, 1.0])
 _LOBATTO_WEIGHT = np.array([1.0, 4.0, 1.0]) / 3.0
 _GAUSS = np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0])
@@ -124,7 +124,7 @@ def brick_mesh(parts: Sequence[Part], hold: np.ndarray, size: float) -> BrickMes
     owner = np.full(len(index), -1)
     for number, part in enumerate(parts):
         own = inside(part, middle)
-        if not _of_boxes(part) or not np.isclose(np.prod(extent[own], axis=1).sum(), part.volume):
+        if not _of_boxes(part) or not np.isclose(np.prod(extent[own], axis=1).sum(), part.volume, atol=0.0):
             raise ValueError(
                 f"part '{part.name}': the finite-element simulator knows objects of boxes along the axes only"
             )
@@ -152,7 +152,7 @@ def _lines(parts: Sequence[Part], hold: np.ndarray, axis: int, size: float) -> n
     high = max(part.vertices[:, axis].max() for part in parts)
     ends = [x for x in hold[:, axis] if low < x < high]
     given = np.sort(np.concatenate([*(part.vertices[:, axis] for part in parts), ends]))
-    given = given[np.concatenate([[True], np.diff(given) > _SAME])]
+    given = given[np.concatenate([[True], np.diff(given) > SAME])]
     lines = [given[:1]]
     for start, stop in zip(given[:-1], given[1:], strict=True):
         lines.append(np.linspace(start, stop, int(np.ceil((stop - start) / size - 1e-9)) + 1)[1:])

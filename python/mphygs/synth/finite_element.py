@@ -11,7 +11,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import STATIC_EFFECTS
-from mphygs.synth.brick_mesh import brick_mesh
+from mphygs.synth.brick_mesh import SAME, brick_mesh
 from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.finite_element_rest import stiffness, unloaded
 from mphygs.synth.finite_element_stress import MaterialStress, Values, cofactor, published, times, transposed
@@ -101,7 +101,7 @@ class _Body:
     def _in_hold(self, points: np.ndarray) -> np.ndarray:
         """(M,) whether points [m] lie in the hold's box."""
         low, high = self.hold.box
-        return np.all((points >= low - 1e-9) & (points <= high + 1e-9), axis=1)
+        return np.all((points >= low - SAME) & (points <= high + SAME), axis=1)
 
     def _strain(self, mu: np.ndarray, lame: np.ndarray) -> None:
         """The strain in which loads at rest keep the published shape; mu, lame: (E, 27) [Pa]."""
@@ -247,17 +247,21 @@ class _Body:
             force = force - at.T @ (values["k"] * (at @ x - anchor))
         return force
 
-    def _acceleration(self, u: np.ndarray, v: np.ndarray, time: float, dt: float) -> np.ndarray:
+    def _acceleration(
+        self, u: np.ndarray, v: np.ndarray, time: float, dt: float, driven: np.ndarray
+    ) -> np.ndarray:
+        """(N, 3) [m/s^2]; driven: (H, 3) of the nodes in the hold."""
         force = self._inside(u, v, time, dt) + self._outside(self.mesh.nodes + u, v, time, self.effects)
         result = force / self.mass[:, None]
+        result[self.held] = driven
         if "attached_mass" in self.effects:
-            # A point mass adds m n n^T to the diagonal mass (Sherman-Morrison), and feels every body force.
+            # A point mass adds m n n^T to the diagonal mass (Sherman-Morrison), and feels every body force;
+            # nodes in the hold move as it does, whatever acts on them.
             at, mass = self.places["attached_mass"], self.effects["attached_mass"]["m"]
             n = at.toarray()[0]
-            pull = self._body_field(n @ v, time, self.effects)
-            result = result + np.outer(n / self.mass, mass * pull)
-            added = n @ (n / self.mass)
-            result -= np.outer(n / self.mass, mass * (n @ result) / (1.0 + mass * added))
+            share = np.where(self.held, 0.0, n / self.mass)
+            pull = self._body_field(n @ v, time, self.effects) - n @ result
+            result += np.outer(share, mass * pull / (1.0 + mass * (n @ share)))
         return result
 
     def _body_field(self, v: np.ndarray, time: float, effects: Mapping[str, Values]) -> np.ndarray:
@@ -289,11 +293,12 @@ class _Body:
         position = np.repeat(places[None], recording.frames, axis=0)
         velocity = np.zeros_like(position)
         for k in range(len(times) - 1):
-            kick = self._acceleration(u, v, times[k], dt)
-            late = v + (0.5 if k == 0 else 1.0) * dt * kick
+            half = 0.5 if k == 0 else 1.0
+            carried = gripped @ rotation[k + 1].T + shift[k + 1] - gripped
+            driven = ((carried - u[self.held]) / dt - v[self.held]) / (half * dt)
+            kick = self._acceleration(u, v, times[k], dt, driven)
+            late = v + half * dt * kick
             moved = u + dt * late
-            moved[self.held] = gripped @ rotation[k + 1].T + shift[k + 1] - gripped
-            late[self.held] = (moved[self.held] - u[self.held]) / dt
             if (k + 1) % steps == 0:
                 frame = first + (k + 1) // steps
                 position[frame] = places + markers @ moved
