@@ -152,7 +152,7 @@ CASES: tuple[Case, ...] = (
     _elements("late-gravity", "single", "gravity:delta_g_x=0.7:delta_g_y=-0.4:at_rest=false"),
     _elements("time_offset", "fault", "time_offset:offset=0.011"),
     _elements("cubic_drag", "outside", "cubic_drag:c_3=22:part=head"),
-    _elements("actuation", "outside", "actuation:amplitude=6000:f=2.6:part=stem"),
+    _elements("actuation", "outside", "actuation:amplitude=1000:f=2.6:part=stem"),
     _elements("point_field", "outside", "point_field:strength=0.003:x=0.06:y=0.02:z=0.1"),
 )
 

@@ -167,6 +167,32 @@ def test_the_plan_of_a_screening_fit_dwells_on_nothing_gross() -> None:
     assert plan_of(capture, deciding, warm=True, screening=True) == plan_of(capture, deciding, warm=True)
 
 
+def test_a_fit_to_tracks_ends_where_an_iteration_brings_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture = bar_capture(frames=10, fps=60.0, fit=(0, 10))
+    belief = bar_belief(capture, free=FREE)
+    capture = recorded(capture, belief, 0.01)
+    (recording,) = capture.sequences
+    noise = np.full(len(recording.markers.at), recording.markers.sigma)
+    markers = replace(recording.markers, spread=noise, memory=0.9)
+    tracked = replace(capture, sequences=(replace(recording, markers=markers),))
+    least = {n: {s.least for s in plan_of(c, 0.01, warm=False)} for n, c in (("t", tracked), ("m", capture))}
+    assert least == {"t": {schedule.TRACKED_LEAST}, "m": {0.0}}
+    asked: list[float] = []
+    minimise = schedule.minimise
+
+    def counted(*args: object, least: float, **options: object) -> object:
+        asked.append(least)
+        return minimise(*args, **options)
+
+    monkeypatch.setattr(schedule, "minimise", counted)
+    experiment = Experiment.of(tracked, Settings(0.01, workers=1))
+    experiment.problem(0.01)
+    schedule.fit_belief(
+        tracked, belief, experiment.fitted, experiment.observations, experiment.settings, warm=True
+    )
+    assert asked == [schedule.TRACKED_LEAST]
+
+
 @pytest.mark.parametrize("screening", [False, True])
 def test_a_run_is_fitted_by_the_plan_that_it_is_for(
     screening: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

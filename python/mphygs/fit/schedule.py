@@ -25,6 +25,9 @@ SCREENING_FACTOR, DECIDING_FACTOR = 1.7, 1.28
 # What is tried on a coarse grid is not worth its last digits; above so many sigma it is not dwelt on: its
 # first frames, where it is nearly right, will say why.
 SCREENING_ACCURACY, TRACTABLE = 1e-3, 4.0
+# Share of the cost that an iteration of a fit to tracks from pictures has to bring for another one: what
+# errors tracks have of their own last from frame to frame, and leave far more open.
+TRACKED_LEAST = 2e-3
 # A grid within this factor of the deciding one is no screening grid.
 FINE = 1.1
 # A model this far from the data [sigma] is fitted no further than a few iterations.
@@ -58,6 +61,7 @@ class Stage:
     iterations: int
     accuracy: float  # share of the cost that a last step may promise
     gross: float = np.inf  # misfit [sigma] that is not lowered for long where it hardly falls
+    least: float = 0.0  # share of the cost that an iteration has to bring for another one
     reports: int = USUAL_ITERATIONS  # lines of progress to expect
 
     @property
@@ -109,6 +113,8 @@ def plan_of(
     tried, where the grid is as coarse as that asks for."""
     # Rounded as spacings are: the coarsest grid is that of a screening fit, which has no other.
     plan = stages(spacing, warm=warm, coarsest=round(COARSEST * default_spacing(capture), 6))
+    if any(s.markers is not None and s.markers.spread is not None for s in capture.sequences):
+        plan = tuple(replace(stage, least=TRACKED_LEAST) for stage in plan)
     if not screening or spacing <= FINE * deciding_spacing(capture):
         return plan
     return tuple(
@@ -266,6 +272,7 @@ def fit_belief(
             report=tell,
             relative_tolerance=stage.accuracy,
             gross=stage.gross,
+            least=stage.least,
         )
         belief = solution.belief
         earlier, last, misfit = last, belief, solution.evaluation.misfit
