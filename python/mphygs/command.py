@@ -150,6 +150,11 @@ def run(
     options = _parse(options_type, program, argv)
     if isinstance(options, int):
         return options
+    for name, least in (("workers", 1), ("seed", 0)):
+        value = getattr(options, name, None)
+        if value is not None and value < least:
+            sys.stderr.write(f"{program}: --{name}: got {value}; expected {least} or more\n")
+            return AT_FAULT
     console = Console(sys.stderr)
     answer, code = _guarded(action, options, console, program)
     if answer is None:

@@ -35,15 +35,16 @@ from mphygs.extend.steps import (
     steps_text,
 )
 from mphygs.extend.window import passed_on_the_way
-from mphygs.fit.__main__ import RUNS, FitOptions, fitted
+from mphygs.fit.__main__ import RUNS, FitOptions, check_options, chosen_ranges, fitted
+from mphygs.fit.claim import claim, clear
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.image_stages import FOLDER, has_stages, run_stages
 from mphygs.model.belief import Belief
-from mphygs.simulate.settings import check_effects
+from mphygs.simulate.settings import Settings, check_effects
 
 PROGRAM = "mphygs discover"
 # The first model's fit, kept inside the run folder.
@@ -94,11 +95,18 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     out = options.out or _default_folder(options)
     first = out / FIRST
     kept = _kept(out) if options.resume else {}
+    _check_candidates(options, kept, out)
     if not options.resume:
-        for stale in (DOCUMENT, DIAGNOSIS, "run.json"):
-            (out / stale).unlink(missing_ok=True)
+        claim(out, beside=(FIRST,))
     given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
     seen = load_capture(options.capture) if options.capture is not None else None
+    if not options.resume:
+        check_options(FitOptions(**given))
+        if seen is not None and not has_stages(seen):
+            settings = Settings(options.spacing or default_spacing(seen))
+            chosen_ranges(seen, settings, names(options.sequences), options.frames)
+        # Only now: nothing that is at fault may take an older run's results away.
+        clear(out, ("run.json",))
     if seen is not None and has_stages(seen):
         given["stages"] = options.stages or out
         console.resume = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(out))}"
@@ -111,8 +119,9 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         given["spacing"] = screening_spacing(seen)
     resume_fit = options.resume and (first / "run.json").is_file()
     first_options = FitOptions(**(given | {"out": first, "resume": resume_fit}))
-    state, capture = fitted(first_options, console, screening=screening)
-    console.resume = f"{PROGRAM} {shlex.quote(str(state.capture))} --out {shlex.quote(str(out))} --resume"
+    again = _again(options, out)
+    state, capture = fitted(first_options, console, screening=screening, again=again)
+    console.resume = again
     if kept.get("verdict"):
         answer = {key: kept[key] for key in ANSWER} | {"missing_force": kept.get("missing_force")}
         return Answer(answer, _text(answer, state.capture))
@@ -125,13 +134,13 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         steps[0] = replace(steps[0], halfway=_halfway(state))
     if not done.documents:
         done.tell(steps[0], experiment)
-        _keep(out, done, experiment)
+        _keep(out, done, experiment, options)
 
     def on_step(step: Step, rankings: Sequence[Ranking]) -> None:
         done.tell(step, experiment)
         if rankings and done.ranking is None:
             done.ranking = ranking_entries([step], rankings[0], experiment)
-        _keep(out, done, experiment)
+        _keep(out, done, experiment, options)
         console.say("\n".join(steps_text(plain(done.documents[-1:]))))
 
     found = discover(
@@ -150,7 +159,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         if step.spacing != done.states[k]["spacing"] or k and k == len(found.steps) - 1:
             done.tell(step, experiment, k)
     answer = _conclude(out, options, state, experiment, found, done, console)
-    _keep(out, done, experiment, answer)
+    _keep(out, done, experiment, options, answer)
     return Answer(answer, _text(answer, state.capture))
 
 
@@ -185,6 +194,24 @@ class _Done:
         ]
 
 
+def _again(options: DiscoverOptions, out: Path) -> str:
+    """The command line that goes on with a loop: with the options that change what comes of it."""
+    given = {"effects": options.effects, "spacing": options.spacing, "plugin": options.plugin}
+    words = [f"--{name} {shlex.quote(str(value))}" for name, value in given.items() if value is not None]
+    capture = [] if options.capture is None else [shlex.quote(str(options.capture))]
+    return " ".join([PROGRAM, *capture, "--out", shlex.quote(str(out)), *words, "--resume"])
+
+
+def _check_candidates(options: DiscoverOptions, kept: Mapping, out: Path) -> None:
+    """Raise OptionError where a loop is to go on with other candidates than it began with."""
+    began = kept.get("candidates", options.effects)
+    if options.effects not in (None, began):
+        raise OptionError(
+            f"--effects: got {options.effects}, but {out} began with {began or 'every known one'}; "
+            "expected the same to resume"
+        )
+
+
 def _default_folder(options: DiscoverOptions) -> Path:
     name = "embedded" if options.capture is None else options.capture.resolve().name
     return RUNS / f"{name}-discover"
@@ -210,13 +237,16 @@ def _left_out(kept: Mapping) -> dict[str, tuple[tuple[int, int], ...]]:
     }
 
 
-def _keep(out: Path, done: _Done, experiment: Experiment, answer: Mapping | None = None) -> None:
+def _keep(
+    out: Path, done: _Done, experiment: Experiment, options: DiscoverOptions, answer: Mapping | None = None
+) -> None:
     """Write the steps so far; with the answer when the loop is done."""
     document = {
         "steps": done.documents,
         "states": done.states,
         "ranking": done.ranking,
         "left_out": left_out_of(experiment),
+        "candidates": options.effects,
     }
     if answer is not None:
         document |= answer

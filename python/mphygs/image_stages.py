@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
-from mphygs.command import DONE, Console
+from mphygs.command import DONE, INTERRUPTED, Console
 from mphygs.fit.image_capture import is_pictured
 from mphygs.fit.stage_files import StageFolder
 from mphygs.stages import NOTE
@@ -94,6 +94,8 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
         began = time.monotonic()
         module = importlib.import_module(f"mphygs.{stage.command}")
         code = module.main([str(path), "--out", str(run), *stage.arguments])
+        if code == INTERRUPTED:
+            raise KeyboardInterrupt
         if code != DONE or not stage.file.exists():
             raise StageError(
                 f"{stage.file}: was not made by mphygs {stage.command}; expected it, or your own file"

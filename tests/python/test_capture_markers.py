@@ -152,7 +152,7 @@ def test_damaged_c3d(tmp_path: Path) -> None:
         (lambda p: p * np.nan, "markers.npz: position: is NaN everywhere; expected measured positions"),
         (
             lambda p: p[..., 0],
-            "markers.npz: position: has shape (12, 4); expected numbers of shape (T, T, 3)",
+            "markers.npz: position: has shape (12, 4); expected numbers of shape (T, M, 3)",
         ),
         (lambda p: p * 1000, "markers.at[0]: marker 0 is measured 100 m from there at rest"),
         (

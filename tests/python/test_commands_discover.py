@@ -138,7 +138,8 @@ def test_discover_runs_the_loop_and_resumes(
     monkeypatch.setattr(discover, *(("steps_text", silent) if kept else ("step_document", broken_off)))
     code, out, err = call(discover.main, capture, *options)
     assert (code, out) == (130, "")
-    assert "--resume" in err.splitlines()[-1]
+    last = err.splitlines()[-1]
+    assert "--resume" in last and f"--effects {CANDIDATES}" in last and f"--spacing {SPACING}" in last
     monkeypatch.undo()
     assert len(json.loads((tmp_path / "loop" / "steps.json").read_text())["steps"]) == 1 + kept
     found = answer(discover.main, capture, *options, "--resume")
@@ -148,6 +149,8 @@ def test_discover_runs_the_loop_and_resumes(
     assert found["steps"] == again["steps"]
     done = answer(discover.main, capture, *options, "--resume")
     assert done == found
+    code, _, err = call(discover.main, capture, *options[:4], "--effects", "gravity", "--resume")
+    assert code == 2 and f"began with {CANDIDATES}" in err
     run = load_run(found["run"])
     assert run.complete and run.belief.effects == ("viscosity",)
     diagnoses = [json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("loop", "again")]
@@ -163,3 +166,58 @@ def test_discover_refuses_in_one_line(capture: Path, tmp_path: Path) -> None:
         code, out, err = call(discover.main, capture, "--out", tmp_path / "loop", *arguments)
         assert (code, out) == (2, "")
         assert words in err and err.count("\n") == 1
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (discover.main, "NOWHERE"),
+        (discover.main, "CAPTURE", "--frames", "bad"),
+        (discover.main, "CAPTURE", "--sequences", "nobody"),
+        (discover.main, "CAPTURE", "--spacing", "-1"),
+        (fit.main, "CAPTURE", "--frames", "bad"),
+        (fit.main, "CAPTURE", "--sequences", "nobody"),
+    ],
+)
+def test_what_is_at_fault_takes_nothing_away(
+    arguments: tuple, elastic: Path, capture: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    shutil.copytree(elastic, out)
+    for name in ("steps.json", "diagnosis.json", "comparison.json", "report.html"):
+        (out / name).write_text("{}")
+    before = snapshot(out)
+    command, *words = arguments
+    words = [{"CAPTURE": capture, "NOWHERE": tmp_path / "nowhere"}.get(word, word) for word in words]
+    code, _, err = call(command, *words, "--out", out)
+    assert code == 2 and err.count("\n") == 1
+    assert snapshot(out) == before
+
+
+def test_no_run_is_written_over_what_is_none(elastic: Path, capture: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "run.json").write_text('{"mine": 1}')
+    copy = tmp_path / "copy"
+    shutil.copytree(capture, copy)
+    for out, folder in ((own, own), (copy, copy), (own / "run.json" / "x", own)):
+        before = snapshot(folder)
+        commands = ((discover.main, capture), (extend.main, elastic, "gravity"), (fit.main, capture))
+        for command, *words in commands:
+            code, _, err = call(command, *words, "--out", out)
+            assert code == 2 and "--out" in err and err.count("\n") == 1
+        assert snapshot(folder) == before
+
+
+def test_extend_takes_away_what_was_found_with_an_older_run(elastic: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    shutil.copytree(elastic, out)
+    for name in ("diagnosis.json", "comparison.json", "report.html"):
+        (out / name).write_text("{}")
+    answer(extend.main, elastic, "gravity", "--out", out)
+    assert not any((out / name).exists() for name in ("diagnosis.json", "comparison.json", "report.html"))
+    assert load_run(out).belief.effects == ("gravity",)

@@ -13,6 +13,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from command_example import ETA, SIGMA, SPACING, TRUTH, answer, call, make_capture
+from mphygs import predict
 from mphygs.capture.format import Known
 from mphygs.fit import __main__ as command
 from mphygs.fit import checkpointed
@@ -179,6 +180,12 @@ def test_release_of_an_unfitted_sequence_is_found(tmp_path: Path) -> None:
     found = answer(command.main, folder, "--effects", "viscosity", "--out", tmp_path / "run", *OPTIONS)
     assert list(found["parameters"]) == ["bar.youngs_modulus", "swing.release_shift", "viscosity.eta"]
     assert found["sequences"]["other"]["predict"]["rms_over_sigma"] < 1.15
+    # With no frames to judge by either, all of them say when it was let go.
+    del document["sequences"][1]["predict"], document["sequences"][1]["fit"]
+    (folder / "capture.json").write_text(json.dumps(document))
+    answer(command.main, folder, "--effects", "viscosity", "--out", tmp_path / "bare", *OPTIONS)
+    predicted = answer(predict.main, tmp_path / "bare")["sequences"]
+    assert predicted["other"]["frames"] == predicted["swing"]["frames"]
 
 
 @pytest.mark.parametrize(
@@ -194,6 +201,8 @@ def test_release_of_an_unfitted_sequence_is_found(tmp_path: Path) -> None:
         (["--effects", "contact"], "mphygs extend"),
         (["--colour", "red"], "--colour"),
         (["--transfer", "sph"], "--transfer"),
+        (["--workers", "0"], "--workers: got 0; expected 1 or more"),
+        (["--seed", "-1"], "--seed: got -1; expected 0 or more"),
     ],
 )
 def test_faulty_options_end_in_one_line_and_2(

@@ -66,8 +66,8 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
                 "reconstruct": files.gaussians, "segment": files.particles,
                 "register": files.pose("lift"), "track": files.tracks("lift"),
             }[name]  # fmt: skip
-            if "fails" in called[0]:
-                return 2
+            if called[0][0] in ("fails", "stopped"):
+                return 2 if called[0][0] == "fails" else 130
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(b"made")
             return 0
@@ -103,3 +103,10 @@ def test_a_stage_that_fails_is_named_and_those_before_it_are_kept(commands: list
     with pytest.raises(StageError, match=r"tracks\.npz: was not made by mphygs track"):
         run_stages(recorded(), Path("flower"), tmp_path, console())
     assert StageFolder(tmp_path / FOLDER).particles.is_file()
+
+
+def test_a_stage_that_was_stopped_stops_the_command(commands: list, tmp_path: Path) -> None:
+    commands.insert(0, ["stopped"])
+    with pytest.raises(KeyboardInterrupt):
+        run_stages(recorded(), Path("flower"), tmp_path, console())
+    assert len(commands) == 2

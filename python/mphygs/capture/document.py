@@ -69,8 +69,9 @@ def _shape(value: object) -> tuple[int, ...]:
 
 
 def written(shape: Iterable[int | None], free: str = "N") -> str:
-    """A shape as it is named in a message, e.g. `(N, 3)`."""
-    sizes = [free if size is None else str(size) for size in shape]
+    """A shape as it is named in a message, e.g. `(N, 3)`; free: letters for the sizes that are not given."""
+    letters = iter(free)
+    sizes = [next(letters, free[-1]) if size is None else str(size) for size in shape]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 

@@ -54,7 +54,7 @@ def read_arrays(path: Path, shapes: dict[str, tuple[int | None, ...]]) -> dict[s
 
     NaN is allowed (not measured), infinity is not. Raises CaptureError naming the file and the array.
     """
-    names = ", ".join(f'"{name}" {written(shape, "T")}' for name, shape in shapes.items())
+    names = ", ".join(f'"{name}" {written(shape, "TM")}' for name, shape in shapes.items())
     expected = f"an .npz with {names}"
     try:
         # opened here, because numpy leaves a file open that it fails to read
@@ -79,7 +79,7 @@ def _read_array(
     archive: np.lib.npyio.NpzFile, path: Path, name: str, shape: tuple[int | None, ...]
 ) -> np.ndarray:
     where = f"{path}: {name}"
-    expected = f"numbers of shape {written(shape, 'T')}"
+    expected = f"numbers of shape {written(shape, 'TM')}"
     try:
         array = archive[name]
     except ValueError as error:

@@ -15,6 +15,7 @@ import tyro
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.extend.named import add_named
 from mphygs.extend.steps import run_at, step_at, step_document, steps_text
+from mphygs.fit.claim import claim, clear
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of
@@ -60,6 +61,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     check_effects(state.transfer, wanted)
     if out.resolve() == source:
         raise OptionError(f"--out {out}: is the run that is extended; expected another folder")
+    claim(out)
     experiment, belief = experiment_of(state, workers=options.workers)
     spacing = state.settings.spacing
     steps = [step_at(experiment, belief, spacing)]
@@ -86,6 +88,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
     extended = run_at(state, out, steps[-1], experiment, options=given, answer=document)
+    clear(out)
     extended.save()
     (out / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
     lines = steps_text(plain(documents))

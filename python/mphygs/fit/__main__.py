@@ -15,6 +15,7 @@ from mphygs.capture.format import Capture, load_capture
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.fit.checkpointed import fit_run
+from mphygs.fit.claim import claim, clear
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.of_run import capture_of, errors_of, pictured_of
@@ -99,19 +100,22 @@ def fit(options: FitOptions, console: Console) -> Answer:
     return Answer(dict(state.answer), _text(state, capture, options.capture is None and not options.resume))
 
 
-def fitted(options: FitOptions, console: Console, *, screening: bool = False) -> tuple[Run, Capture]:
-    """The complete run of these options, and its capture. screening: see `plan_of`."""
+def fitted(
+    options: FitOptions, console: Console, *, screening: bool = False, again: str | None = None
+) -> tuple[Run, Capture]:
+    """The complete run of these options, and its capture. screening: see `plan_of`; again: the command line
+    that goes on when it is stopped, where the fit is part of another command."""
     if options.plugin is not None:
         load_plugin(options.plugin)
     if options.resume and not _in_stages(options):
         state = _resumed(options, console)
         capture = capture_of(state)
     else:
-        _check(options)
+        check_options(options)
         state, capture = _new(options, console)
     settings = replace(state.settings, workers=options.workers or available_cores())
     experiment = Experiment(capture, settings, dict(state.ranges))
-    console.resume = f"{PROGRAM} --out {shlex.quote(str(state.folder))} --resume"
+    console.resume = again or f"{PROGRAM} --out {shlex.quote(str(state.folder))} --resume"
     state.save()
     console.say(
         f"{capture.name}: {', '.join(state.ranges)}; {len(state.belief.free)} unknowns, "
@@ -201,7 +205,7 @@ def _text(state: Run, capture: Capture, embedded: bool) -> str:
     return "\n".join(lines)
 
 
-def _check(options: FitOptions) -> None:
+def check_options(options: FitOptions) -> None:
     """Options that can be judged without the capture."""
     known = effects()
     for name in names(options.effects):
@@ -237,7 +241,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         from mphygs.synth.embedded import embedded_capture
 
         out = out or RUNS / "embedded"
-        _claim(out)
+        claim(out)
         console.say("no capture given: making a small one with known truth and a hidden effect")
         path = embedded_capture(out / "capture")
         capture = load_capture(path)
@@ -245,7 +249,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         path = options.capture
         capture = load_capture(path)
         out = out or RUNS / capture.name
-        _claim(out)
+        claim(out)
         _check_intervals(options, pictures=has_stages(capture))
         stages, capture = _seen(options, capture, out, console)
     if stages is None and (options.without or options.homogeneous or options.stages):
@@ -258,20 +262,12 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         belief = pictured_belief(
             belief, stages, without=names(options.without), homogeneous=options.homogeneous
         )
-    frames = _frames(options.frames, capture, wanted)
-    try:
-        experiment = Experiment.of(capture, settings, sequences=wanted or None, frames=frames)
-    except KeyError as error:
-        raise OptionError(f"--sequences: {error.args[0]}") from error
-    missing = [name for name in wanted if name not in experiment.fitted]
-    if missing:
-        raise OptionError(
-            f"--sequences: '{missing[0]}' has no markers or no frames to fit; expected both, or --frames i:j"
-        )
+    experiment = chosen_ranges(capture, settings, wanted, options.frames)
     belief = experiment.starting(belief)
     for name in names(options.effects):
         belief = with_placed_effect(belief, name, capture, tuple(experiment.fitted))
     given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+    clear(out)
     if options.plugin is not None:
         given["plugin"] = str(options.plugin.resolve())
     state = Run(
@@ -280,6 +276,24 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         start=belief, belief=belief, stages=stages,
     )  # fmt: skip
     return state, capture
+
+
+def chosen_ranges(
+    capture: Capture, settings: Settings, wanted: Sequence[str], frames: str | None
+) -> Experiment:
+    """The experiment on the sequences and frames of the options. Raises OptionError."""
+    try:
+        experiment = Experiment.of(
+            capture, settings, sequences=wanted or None, frames=_frames(frames, capture, wanted)
+        )
+    except KeyError as error:
+        raise OptionError(f"--sequences: {error.args[0]}") from error
+    missing = [name for name in wanted if name not in experiment.fitted]
+    if missing:
+        raise OptionError(
+            f"--sequences: '{missing[0]}' has no markers or no frames to fit; expected both, or --frames i:j"
+        )
+    return experiment
 
 
 def _in_stages(options: FitOptions) -> bool:
@@ -303,26 +317,6 @@ def _seen(options: FitOptions, capture: Capture, out: Path, console: Console) ->
     run_stages(capture, options.capture, home, console)
     whole = assembled(capture, home / FOLDER)
     return home / FOLDER, as_one_part(whole) if options.homogeneous else whole
-
-
-def _claim(folder: Path) -> None:
-    """Make sure that writing a run there destroys nothing but an older run."""
-    if folder.exists() and not folder.is_dir():
-        raise OptionError(f"--out {folder}: is a file; expected a folder")
-    if (
-        folder.is_dir()
-        and any(folder.iterdir())
-        and not is_run(folder)
-        and not (folder / "capture" / "answer.json").is_file()
-        and not (folder / FOLDER).is_dir()
-    ):
-        raise OptionError(
-            f"--out {folder}: has files that are not a run's; expected a run folder, or a new one"
-        )
-    if is_run(folder):
-        # What was found with the run before is not true of this one.
-        for stale in ("diagnosis.json", "steps.json", "comparison.json", "report.html"):
-            (folder / stale).unlink(missing_ok=True)
 
 
 def _frames(text: str | None, capture: Capture, wanted: Sequence[str]) -> tuple[int, int] | None:

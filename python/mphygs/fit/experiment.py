@@ -160,6 +160,8 @@ class Experiment:
         if name in self.fitted or key not in belief:
             return belief
         first, last = self.unseen(name)
+        if last <= first:
+            first, last = 0, self.capture.sequence(name).frames
         problem = self.problem(spacing)
         self.predictor(name, spacing)
         own = Problem(

@@ -1,0 +1,52 @@
+"""Folders that runs are written to: nothing is lost there but an older run's results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from mphygs.command import OptionError
+from mphygs.fit.run import DOCUMENT, FORMAT
+from mphygs.image_stages import FOLDER
+
+# What other commands found with a run that stands there no more.
+STALE = ("diagnosis.json", "steps.json", "comparison.json", "report.html")
+
+
+def claim(folder: Path, *, beside: Sequence[str] = ()) -> None:
+    """Make sure that writing a run to a folder destroys nothing but an older run; nothing is changed.
+
+    beside: names of folders by which a run that was not finished is known as well. Raises OptionError.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise OptionError(f"--out {folder}: is a file; expected a folder")
+    over = next((above for above in folder.parents if above.exists() and not above.is_dir()), None)
+    if over is not None:
+        raise OptionError(f"--out {folder}: {over} is a file; expected a folder")
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    if (folder / DOCUMENT).is_file():
+        known = _is_ours(folder / DOCUMENT)
+    else:
+        known = (folder / "capture" / "answer.json").is_file() or any(
+            (folder / name).is_dir() for name in (FOLDER, *beside)
+        )
+    if not known:
+        raise OptionError(
+            f"--out {folder}: has files that are not a run's; expected a run folder, or a new one"
+        )
+
+
+def clear(folder: Path, more: Sequence[str] = ()) -> None:
+    """Take away what was found with the run before, which is not true of the one that is written now."""
+    for name in (*STALE, *more):
+        (folder / name).unlink(missing_ok=True)
+
+
+def _is_ours(document: Path) -> bool:
+    try:
+        found = json.loads(document.read_text(encoding="utf-8"))
+    except ValueError:
+        return False
+    return isinstance(found, dict) and found.get("format") == FORMAT
