@@ -27,6 +27,10 @@ DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
 TRACEBACK_VARIABLE = "MPHYGS_TRACEBACK"
 
 
+# What stands where a folder or a file was to be written.
+_NO_PLACE = (FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
+
+
 class OptionError(ValueError):
     """Options that cannot be used: one line with what, where, and what was expected."""
 
@@ -184,10 +188,12 @@ def _guarded(
         if os.environ.get(TRACEBACK_VARIABLE):
             console.say(traceback.format_exc())
         # numpy's LinAlgError is a ValueError that no input explains.
-        at_fault = isinstance(error, (ValueError, FileNotFoundError)) and not isinstance(
+        at_fault = isinstance(error, (ValueError, FileNotFoundError, *_NO_PLACE)) and not isinstance(
             error, np.linalg.LinAlgError
         )
         message = one_line(str(error)) or type(error).__name__
+        if isinstance(error, _NO_PLACE) and error.filename is not None:
+            message = f"{error.filename}: {error.strerror}; expected a place that can be written to"
         if isinstance(error, (KeyError, AttributeError, TypeError, IndexError)):
             message = (
                 f"unexpected {type(error).__name__}: {message} (set {TRACEBACK_VARIABLE}=1 to see where)"

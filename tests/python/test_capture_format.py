@@ -180,8 +180,8 @@ OBJECT, PART, FIRST = ("object",), ("object", "parts", 0), ("sequences", 0)
             "poissons_ratio: is 0.5; expected a Poisson's ratio",
         ),
         (
-            set_key(*OBJECT, "known", "poissons_ratio", value={"low": -1}),
-            "known.poissons_ratio.low: is -1; expected",
+            set_key(*OBJECT, "known", "poissons_ratio", value={"low": -0.3}),
+            "known.poissons_ratio.low: is -0.3; expected a Poisson's ratio from 0 to below 0.4995",
         ),
         (set_key(*OBJECT, "known", "mass", value=0), "known.mass: is 0; expected a mass above zero"),
         (

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from command_example import ETA, SPACING, answer, call, make_capture
-from mphygs import discover
+from mphygs import discover, predict
+from mphygs.compare import __main__ as compare
 from mphygs.diagnose import __main__ as diagnose
 from mphygs.extend import __main__ as extend
 from mphygs.fit import __main__ as fit
@@ -221,3 +222,22 @@ def test_extend_takes_away_what_was_found_with_an_older_run(elastic: Path, tmp_p
     answer(extend.main, elastic, "gravity", "--out", out)
     assert not any((out / name).exists() for name in ("diagnosis.json", "comparison.json", "report.html"))
     assert load_run(out).belief.effects == ("gravity",)
+
+
+@pytest.mark.parametrize("command", [compare.main, predict.main])
+def test_a_place_that_cannot_be_written_to_is_named(command: object, elastic: Path, tmp_path: Path) -> None:
+    place = tmp_path / "file"
+    place.write_text("mine")
+    code, _, err = call(command, elastic, "--out", place)
+    last = err.splitlines()[-1]
+    assert code == 2 and str(place) in last and "expected a place that can be written to" in last
+    assert place.read_text() == "mine"
+
+
+def test_what_a_run_leaves_out_is_an_effect_of_what_it_is_extended_from(
+    elastic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extend, "left_out_of", lambda _experiment: {"swing": ((0, 0),)})
+    found = answer(extend.main, elastic, "gravity", "--out", tmp_path / "more")
+    before, after = (step["effects"] for step in found["steps"])
+    assert (before, after) == (["marker_outliers"], ["marker_outliers", "gravity"])

@@ -105,7 +105,10 @@ def _read_known(entry: Entry | None, parts: tuple[str, ...]) -> Known:
         value = _read_per_part(given, parts, 0.0, float("inf"), "a density above zero [kg/m^3]")
         density = value if isinstance(value, dict) else dict.fromkeys(parts or ("object",), value)
     if given := entry.get("poissons_ratio"):
-        poissons_ratio = _read_per_part(given, parts, -1.0, 0.5, "a Poisson's ratio above -1 and below 0.5")
+        # The bounds of the materials that are fitted.
+        poissons_ratio = _read_per_part(
+            given, parts, -1e-12, 0.4995, "a Poisson's ratio from 0 to below 0.4995"
+        )
     if given := entry.get("mass"):
         mass = given.number()
         if mass <= 0:

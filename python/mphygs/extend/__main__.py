@@ -14,7 +14,7 @@ import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.extend.named import add_named
-from mphygs.extend.steps import run_at, step_at, step_document, steps_text
+from mphygs.extend.steps import left_out_of, run_at, step_at, step_document, steps_text
 from mphygs.fit.claim import claim, clear
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
@@ -65,7 +65,9 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     experiment, belief = experiment_of(state, workers=options.workers)
     spacing = state.settings.spacing
     steps = [step_at(experiment, belief, spacing)]
-    documents = [step_document(steps[0], experiment, ())]
+    # What the run leaves out of the measurements is an effect of it, though no term of the model.
+    before = ("marker_outliers",) if left_out_of(experiment) else ()
+    documents = [step_document(steps[0], experiment, before)]
     pays = []
     for number, name in enumerate(wanted):
         console.progress(number / len(wanted), f"adding {name}")
