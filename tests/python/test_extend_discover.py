@@ -1197,3 +1197,10 @@ def test_the_verdict(
     found = discover._conclude(steps, [], ["a warning"])
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.steps == tuple(steps) and found.warnings == ("a warning",)
+
+
+def test_a_noise_that_nothing_reaches_is_said_to_be_too_large() -> None:
+    for ratio, said in ((0.1, True), (0.7, False)):
+        found = discover._conclude([step_of(assessment_of(ratio, adequate=True), added=())], [], [])
+        assert found.verdict == "adequate"
+        assert [("sigma may be 10 times too large" in line) for line in found.warnings] == [True] * said

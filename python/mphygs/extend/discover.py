@@ -40,6 +40,8 @@ LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.8
+# So much of the noise or less in every range says that the noise is stated too large.
+FAR_LESS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,4 +326,10 @@ def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -
         for term in last.belief.terms
         if term.name in added and term.settings.get("at_rest") is False and "sequences" not in term.settings
     ]
+    worst = last.assessment.worst
+    if worst < FAR_LESS:
+        came.append(
+            f"no range leaves more than {worst:.2g} of the noise: sigma may be {1.0 / max(worst, 1e-3):.2g} "
+            "times too large, and hide what is missing"
+        )
     return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings, *came))
