@@ -162,6 +162,7 @@ def test_discover_runs_the_loop_and_resumes(
 def test_discover_refuses_in_one_line(capture: Path, tmp_path: Path) -> None:
     for arguments, words in (
         (["--effects", "magic"], "unknown effect 'magic'"),
+        (["--effects", "prestress"], "prestress is not scored"),
         (["--resume"], "holds no loop"),
     ):
         code, out, err = call(discover.main, capture, "--out", tmp_path / "loop", *arguments)

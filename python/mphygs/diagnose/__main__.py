@@ -65,6 +65,10 @@ def known_effects(text: str | None) -> tuple[str, ...] | None:
         if name not in effects():
             known = ", ".join(sorted(effects()))
             raise OptionError(f"unknown effect '{name}'; expected some of {known}")
+        if name == "prestress":
+            raise OptionError(
+                "--effects: prestress is not scored; expected others, or mphygs extend RUN prestress"
+            )
     return wanted or None
 
 
