@@ -197,6 +197,7 @@ def test_release_of_an_unfitted_sequence_is_found(tmp_path: Path) -> None:
         (["--frames", "3"], "expected i:j"),
         (["--frames", "5:99"], "0 <= i < j <= 24"),
         (["--spacing", "-1"], "a length above zero [m]"),
+        (["--spacing", "1e-5"], "--spacing: got 1e-05 m; expected 0.00"),
         (["--spacing", "wide"], "could not convert string to float"),
         (["--effects", "contact"], "mphygs extend"),
         (["--colour", "red"], "--colour"),

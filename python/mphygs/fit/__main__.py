@@ -34,6 +34,8 @@ from mphygs.simulate.settings import Settings, available_cores, check_effects
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
+# Cells of material, eight points each, that tens of gigabytes hold.
+MOST_CELLS = 2e6
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals")
 
@@ -282,6 +284,12 @@ def chosen_ranges(
     capture: Capture, settings: Settings, wanted: Sequence[str], frames: str | None
 ) -> Experiment:
     """The experiment on the sequences and frames of the options. Raises OptionError."""
+    finest = (sum(part.volume for part in capture.parts) / MOST_CELLS) ** (1.0 / 3.0)
+    if settings.spacing < finest:
+        raise OptionError(
+            f"--spacing: got {settings.spacing:g} m; expected {finest:.2g} m or more, "
+            f"{MOST_CELLS:.0e} cells of material"
+        )
     try:
         experiment = Experiment.of(
             capture, settings, sequences=wanted or None, frames=_frames(frames, capture, wanted)
