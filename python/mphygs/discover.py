@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import tyro
 
 from mphygs.capture.format import load_capture
+from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, duration, names, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.__main__ import diagnosis_document, known_effects, ranking_entries
@@ -36,7 +37,6 @@ from mphygs.extend.steps import (
 )
 from mphygs.extend.window import passed_on_the_way
 from mphygs.fit.__main__ import RUNS, FitOptions, check_options, chosen_ranges, fitted
-from mphygs.fit.claim import claim, clear
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of

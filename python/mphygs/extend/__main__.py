@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.extend.named import add_named
 from mphygs.extend.steps import left_out_of, run_at, step_at, step_document, steps_text
-from mphygs.fit.claim import claim, clear
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of

@@ -12,10 +12,10 @@ from typing import Annotated, Literal
 import tyro
 
 from mphygs.capture.format import Capture, load_capture
+from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.fit.checkpointed import fit_run
-from mphygs.fit.claim import claim, clear
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.of_run import capture_of, errors_of, pictured_of
