@@ -25,9 +25,7 @@ from threadpoolctl import threadpool_limits
 DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
 # Set to anything, this shows where an error comes from.
 TRACEBACK_VARIABLE = "MPHYGS_TRACEBACK"
-
-
-# What stands where a folder or a file was to be written.
+# A file or a folder that cannot be what it was to be.
 _NO_PLACE = (FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
 
 
@@ -193,7 +191,7 @@ def _guarded(
         )
         message = one_line(str(error)) or type(error).__name__
         if isinstance(error, _NO_PLACE) and error.filename is not None:
-            message = f"{error.filename}: {error.strerror}; expected a place that can be written to"
+            message = f"{error.filename}: {error.strerror}; expected a place to read and write"
         if isinstance(error, (KeyError, AttributeError, TypeError, IndexError)):
             message = (
                 f"unexpected {type(error).__name__}: {message} (set {TRACEBACK_VARIABLE}=1 to see where)"

@@ -90,23 +90,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def loop(options: DiscoverOptions, console: Console) -> Answer:
     """Run the loop; every step is kept in the run folder as soon as it is done."""
-    candidates = known_effects(options.effects) if options.plugin is None else names(options.effects) or None
-    check_effects(options.transfer, candidates or ())
     out = options.out or _default_folder(options)
     first = out / FIRST
     kept = _kept(out) if options.resume else {}
-    _check_candidates(options, kept, out)
+    options = _with_candidates(options, kept, out)
+    candidates = known_effects(options.effects) if options.plugin is None else names(options.effects) or None
+    check_effects(options.transfer, candidates or ())
     if not options.resume:
         claim(out, beside=(FIRST,))
     given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
     seen = load_capture(options.capture) if options.capture is not None else None
     if not options.resume:
         check_options(FitOptions(**given))
-        if seen is not None and not has_stages(seen):
-            settings = Settings(options.spacing or default_spacing(seen))
-            chosen_ranges(seen, settings, names(options.sequences), options.frames)
-        # Only now: nothing that is at fault may take an older run's results away.
-        clear(out, ("run.json",))
     if seen is not None and has_stages(seen):
         given["stages"] = options.stages or out
         console.resume = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(out))}"
@@ -114,6 +109,12 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         seen = assembled(seen, given["stages"] / FOLDER)
         # the loop judges by tracks: a belief between them and the pictures is no minimum of theirs
         given["without"] = "l2d"
+    if not options.resume:
+        if seen is not None:
+            settings = Settings(options.spacing or default_spacing(seen))
+            chosen_ranges(seen, settings, names(options.sequences), options.frames)
+        # Only now: nothing that is at fault may take an older run's results away.
+        clear(out, ("run.json",))
     screening = options.spacing is None and seen is not None
     if screening:
         given["spacing"] = screening_spacing(seen)
@@ -202,14 +203,15 @@ def _again(options: DiscoverOptions, out: Path) -> str:
     return " ".join([PROGRAM, *capture, "--out", shlex.quote(str(out)), *words, "--resume"])
 
 
-def _check_candidates(options: DiscoverOptions, kept: Mapping, out: Path) -> None:
-    """Raise OptionError where a loop is to go on with other candidates than it began with."""
+def _with_candidates(options: DiscoverOptions, kept: Mapping, out: Path) -> DiscoverOptions:
+    """The options with the candidates that a loop began with. Raises OptionError where others are given."""
     began = kept.get("candidates", options.effects)
     if options.effects not in (None, began):
         raise OptionError(
             f"--effects: got {options.effects}, but {out} began with {began or 'every known one'}; "
             "expected the same to resume"
         )
+    return replace(options, effects=began)
 
 
 def _default_folder(options: DiscoverOptions) -> Path:

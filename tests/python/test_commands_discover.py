@@ -150,6 +150,13 @@ def test_discover_runs_the_loop_and_resumes(
     assert found["steps"] == again["steps"]
     done = answer(discover.main, capture, *options, "--resume")
     assert done == found
+    steps = tmp_path / "loop" / "steps.json"
+    steps.write_text(json.dumps({k: v for k, v in json.loads(steps.read_text()).items() if k != "verdict"}))
+    with pytest.MonkeyPatch.context() as patch:
+        asked = []
+        patch.setattr(discover, "discover", lambda *_, names, **__: asked.append(names) or 1 / 0)
+        call(discover.main, capture, *options[:4], "--resume")
+    assert asked == [tuple(CANDIDATES.split(","))]
     code, _, err = call(discover.main, capture, *options[:4], "--effects", "gravity", "--resume")
     assert code == 2 and f"began with {CANDIDATES}" in err
     run = load_run(found["run"])
@@ -231,7 +238,7 @@ def test_a_place_that_cannot_be_written_to_is_named(command: object, elastic: Pa
     place.write_text("mine")
     code, _, err = call(command, elastic, "--out", place)
     last = err.splitlines()[-1]
-    assert code == 2 and str(place) in last and "expected a place that can be written to" in last
+    assert code == 2 and str(place) in last and "expected a place to read and write" in last
     assert place.read_text() == "mine"
 
 
