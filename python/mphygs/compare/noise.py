@@ -9,6 +9,7 @@ import numpy as np
 from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
 from mphygs.compare.autoregression import Autoregression
+from mphygs.compare.seen import mean_seen
 from mphygs.compare.whitening import NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 
@@ -68,7 +69,7 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     if recording.release is not None and recording.release >= 20:
         # The last two frames may already move: the release is uncertain by that much.
         rest = position[: recording.release - 2]
-        mean = np.nanmean(rest, axis=0)
+        mean = mean_seen(rest, 0)
         rest = without_faults(rest - mean, times[: len(rest)], np.broadcast_to(mean, rest.shape))
         what = "markers before the release"
     else:

@@ -120,7 +120,8 @@ def _spectrum(axes: Axes, compared: Compared, fps: float, marker: int, coordinat
             frequency, amplitude = spectrum(curve, fps)
             axes.semilogy(frequency[1:], 1e3 * amplitude[1:], color=colour, lw=1.0, label=label)
     axes.set(title="spectrum of the second curve", xlabel="Hz", ylabel="amplitude mm")
-    axes.legend(fontsize=7, loc="best")
+    if axes.lines:  # hardly anything was measured of this marker otherwise
+        axes.legend(fontsize=7, loc="best")
 
 
 def sequence_figure(

@@ -15,6 +15,7 @@ from mphygs.capture.motions import Motion, hold_poses
 from mphygs.capture.record import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.compare.noise import Observation
+from mphygs.compare.seen import mean_seen
 from mphygs.diagnose.candidates import Way
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, ScoreTable
@@ -40,7 +41,7 @@ class Proposed:
 def leading_frequency(observation: Observation, fps: float, frames: tuple[int, int]) -> float:
     """Frequency [Hz] at which the markers move most; that of one period where they hardly move."""
     moved = observation.position[slice(*frames)]
-    moved = np.nan_to_num(moved - np.nanmean(moved, axis=0))
+    moved = np.nan_to_num(moved - mean_seen(moved, 0))
     power = (np.abs(np.fft.rfft(moved * np.hanning(len(moved))[:, None, None], axis=0)) ** 2).sum((1, 2))
     frequency = np.fft.rfftfreq(len(moved), 1.0 / fps)
     return float(frequency[1:][power[1:].argmax()])

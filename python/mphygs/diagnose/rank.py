@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
+from mphygs.compare.seen import mean_seen
 from mphygs.diagnose.candidates import (
     Way,
     base_motion_ways,
@@ -88,8 +89,8 @@ class Ranking:
 
 def _peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
     """Frequencies [Hz] at which the markers' common misfit is largest. residual: (T, M, 3)."""
-    common = np.nanmean(residual, axis=1)
-    common = np.nan_to_num(common - np.nanmean(common, axis=0))
+    common = mean_seen(residual, 1)
+    common = np.nan_to_num(common - mean_seen(common, 0))
     power = (np.abs(np.fft.rfft(common * np.hanning(len(common))[:, None], axis=0)) ** 2).sum(1)
     frequency = np.fft.rfftfreq(len(common), 1.0 / fps)
     power[frequency < 1.5 * fps / len(common)] = 0.0
