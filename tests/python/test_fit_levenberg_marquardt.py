@@ -122,6 +122,19 @@ def test_a_gross_misfit_is_not_fitted_to_its_last_digits() -> None:
     assert minimise(Lacking(), far, gross=2.0 * np.sqrt(whole.history[0]), **tight).history == whole.history
 
 
+def test_a_gross_misfit_is_not_dwelt_on() -> None:
+    tight = {"tolerance": 1e-8, "relative_tolerance": 0.0}
+    whole = minimise(Lacking(), start(), **tight)
+    assert len(whole.history) > 3
+    left = whole.evaluation.misfit
+    ended = minimise(Lacking(), start(), gross=0.5 * left, dwell=1, **tight)
+    assert ended.history == whole.history[:2] and not ended.converged and "gross" in ended.reason
+    # What is no longer gross by then is fitted to its end.
+    first = minimise(Lacking(), start(), iterations=1, **tight).evaluation.misfit
+    on = minimise(Lacking(), start(), gross=1.01 * first, dwell=1, **tight)
+    assert on.history == whole.history and on.converged
+
+
 def test_an_iteration_that_brings_too_little_is_the_last() -> None:
     asked: list[bool] = []
 

@@ -14,9 +14,10 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
 from mphygs import discover as discover_command
 from mphygs.command import Console
-from mphygs.fit import checkpointed, schedule
+from mphygs.fit import checkpointed, levenberg_marquardt, schedule
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.run import Run, StageRecord, load_run
 from mphygs.fit.schedule import (
     SCREENING_ACCURACY,
@@ -80,8 +81,17 @@ def test_a_model_that_is_lost_on_a_finer_grid_is_brought_onward(
     assert schedule._brought_onward(Known(here), start, there, None) is start
 
 
-def test_a_hopeless_fit_is_resumed_to_the_same_numbers(tmp_path: Path) -> None:
+def test_a_hopeless_fit_is_resumed_to_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where a stage leaves far too much, the next begins from the one before it; resumed, it does so too."""
+    bounds: list[tuple[float, int | None]] = []
+
+    def minimise(*args: object, gross: float, dwell: int | None, **options: object) -> Solution:
+        bounds.append((gross, dwell))
+        return levenberg_marquardt.minimise(*args, gross=gross, dwell=dwell, **options)
+
+    monkeypatch.setattr(schedule, "minimise", minimise)
     capture = bar_capture(frames=30, fps=60.0, fit=(0, 30))
     truth = bar_belief(capture, youngs_modulus=6e4, free=FREE)
     tilted = truth.with_effect("gravity", {"delta_g_z": -2.0})
@@ -100,6 +110,8 @@ def test_a_hopeless_fit_is_resumed_to_the_same_numbers(tmp_path: Path) -> None:
     )  # fmt: skip
     whole = fit_run(run, experiment)
     assert len(whole.history) >= 3 and kept[-2].history[-1].misfit > schedule.HOPELESS
+    # It is not dwelt on, unless it was the grid before that could not carry the model.
+    assert bounds[0] == (np.inf, None) and bounds[-1] == (schedule.HOPELESS, schedule.HOPELESS_ITERATIONS)
     # It matters from where the last stage begins: without what came before it ends elsewhere.
     before_last = kept[-2]
     Run.save(before_last)

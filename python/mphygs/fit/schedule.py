@@ -258,20 +258,22 @@ def fit_belief(
             belief = find_scale(problem, belief, report)
 
         tell = told(report, f"{stage.name} ({1e3 * stage.spacing:.3g} mm)")
-        iterations = stage.iterations
+        gross, dwell = stage.gross, None
         if earlier is not None and misfit > HOPELESS:
-            # What it became is of no use on another grid; the model before it is, and will be as wrong.
-            belief, iterations = earlier, HOPELESS_ITERATIONS
+            # What it became is of no use on another grid; the model before it is, and as wrong unless it was
+            # the grid that could not carry it.
+            belief, gross, dwell = earlier, min(gross, HOPELESS), HOPELESS_ITERATIONS
         belief = simulable(problem, belief)
         if number and stage.spacing < plan[number - 1].spacing:
             belief = _brought_onward(problem, belief, misfit, tell)
         solution = minimise(
             problem,
             belief,
-            iterations=iterations,
+            iterations=stage.iterations,
             report=tell,
             relative_tolerance=stage.accuracy,
-            gross=stage.gross,
+            gross=gross,
+            dwell=dwell,
             least=stage.least,
         )
         belief = solution.belief
