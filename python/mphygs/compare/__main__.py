@@ -15,6 +15,7 @@ from mphygs.command import Answer, CommonOptions, Console, names, plain, run
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.compare.pictures import save_figure, sequence_figure
+from mphygs.compare.roughness import doubted_sigma
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import chosen_names, errors_of, experiment_of, pictured_of
 from mphygs.fit.run import load_run
@@ -68,7 +69,7 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     document["pictures"] = [str(path) for path in pictures]
     if options.capture is None and options.sequences is None:
         (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
-    return Answer(document, _text(document))
+    return Answer(document, _text(document, doubted_sigma(compared)))
 
 
 def comparison_document(
@@ -104,7 +105,7 @@ def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path)
     return paths
 
 
-def _text(document: Mapping[str, object]) -> str:
+def _text(document: Mapping[str, object], doubts: Sequence[str]) -> str:
     lines: list[str] = [errors_text(document["sequences"]), ""]
     if document.get("films"):
         lines += [table(image_table(document["sequences"])), ""]
@@ -114,6 +115,7 @@ def _text(document: Mapping[str, object]) -> str:
     budget = document["budget"]
     shares = ", ".join(f"{name} {1e3 * share:.3f} mm" for name, share in budget.items())
     lines.append(f"Shares of it, adding in squares: {shares}.")
+    lines += [f"warning: {doubt}" for doubt in doubts]
     if document["where"]:
         rows = [["part", "centre mm", "rms mm beyond noise"]]
         for entry in document["where"][:SHOWN]:
