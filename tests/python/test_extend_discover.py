@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -360,7 +360,8 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
         )
         for name in courses
     ]
-    found = followed_onward(experiment, 0.25, begun, SPACING)
+    lines: list[str] = []
+    found = followed_onward(experiment, 0.25, begun, SPACING, lines.append)
     assert {entry.effect for _, entry, _ in found} == {"viscosity", "air_drag", "mass_damping", "plasticity"}
     assert ("wind", 1.0) not in fitted
     assert [share for name, share in fitted if name == "plasticity"] == [0.5, 0.75, 1.0]
@@ -369,7 +370,9 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
     assert bounds["viscosity", 0.5] == bounds["relaxation", 0.5] == np.inf
     assert bounds["mass_damping", 1.0] == refits.BEHIND * 100.0
     few = [item for item in begun if item[1].effect in ("viscosity", "air_drag", "wind")]
-    assert len(followed_onward(experiment, 0.25, few, SPACING)) == 3  # so many go on whatever they leave
+    assert any("air_drag" in line and "50%" in line and "sigma" in line for line in lines)
+    # So many go on whatever they leave.
+    assert len(followed_onward(experiment, 0.25, few, SPACING, lines.append)) == 3
 
 
 def test_only_what_is_significant_is_tried() -> None:
@@ -758,7 +761,7 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect]))
 
-    def onward(_e: object, _share: float, begun: list[tuple], _spacing: float) -> list[tuple]:
+    def onward(_e: object, _share: float, begun: list[tuple], *_: object) -> list[tuple]:
         brought.append([entry.effect for _, entry, _ in begun])
         return begun
 
@@ -801,7 +804,7 @@ def test_more_numbers_are_not_fitted_to_what_may_be_the_grids(
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect]))
 
-    def onward(_e: object, _share: float, begun: list[tuple], _spacing: float) -> list[tuple]:
+    def onward(_e: object, _share: float, begun: list[tuple], *_: object) -> list[tuple]:
         brought.append(sorted(entry.effect for _, entry, _ in begun))
         return begun
 
@@ -907,48 +910,28 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
     assert begun_at(4.1) == ["air_drag", "fibre", "tether", "contact", "frame_drift"]
 
 
-def test_refits_begin_from_other_materials_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    there, here = (plain_belief().with_parameter(KEY, value=value) for value in (1e5, 3e6))
-    chi_squares = {("gravity", 3e6): 800.0, ("gravity", 1e5): 300.0}
-    chi_squares |= {("wind", 3e6): 400.0, ("tether", 1e5): 500.0}
-    asked: list[tuple[str, float]] = []
+@pytest.mark.parametrize("afar", [True, False])
+def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    chi_squares = {"gravity": 800.0, "wind": 400.0, "fibre": 500.0}
     bounds: list[float] = []
-    finished: dict[str, float] = {}
+    allowed: list[int] = []
 
     def start_refit(
-        _e: object, before: Solution, entry: Entry, *_: object, hopeless: float, **__: object
-    ) -> Solution | None:
-        asked.append((entry.effect, before.belief[KEY].value))
+        _e: object, before: Solution, entry: Entry, *_: object, hopeless: float, iterations: int, **__: object
+    ) -> Solution:
         bounds.append(hopeless)
-        chi_square = chi_squares[asked[-1]]
-        return solution_of(before.belief, evaluation_of(chi_square)) if chi_square < 600.0 else None
-
-    def finish_refit(
-        _e: object, _b: object, _c: object, entry: Entry, begun: Solution, *_: object, **__: object
-    ) -> None:
-        finished[entry.effect] = begun.belief[KEY].value
+        allowed.append(iterations)
+        return solution_of(before.belief, evaluation_of(chi_squares[entry.effect]))
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
-    monkeypatch.setattr(refits, "finish_refit", finish_refit)
-    ranking, other = ranking_of(entry_of("gravity", 2e4), entry_of("wind", 1e4)), ranking_of(
-        entry_of("tether", 2e4), entry_of("gravity", 1e4)
+    monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
+    first = 1.0, solution_of(plain_belief(), evaluation_of(2e4))
+    ranking = ranking_of(*(entry_of(name, 1e4) for name in chi_squares))
+    refits_of(
+        ALONE, step_of(assessment_of(9.0)), first, ranking, SPACING, None, lambda _text: None, afar=afar
     )
-    beside = solution_of(there, evaluation_of(2e4)), other
-    first = 1.0, solution_of(here, evaluation_of(2e4))
-    current = step_of(assessment_of(9.0))
-    refits_of(ALONE, current, first, ranking, SPACING, None, lambda _text: None, beside=beside)
-    assert sorted(asked) == sorted(chi_squares)
-    # Each from where it leaves less, or can be simulated at all.
-    assert finished == {"gravity": 1e5, "wind": 3e6, "tether": 1e5}
-    # From there a first iteration says little of who leads.
-    assert bounds == len(bounds) * [np.inf]
-    asked.clear()
-    bounds.clear()
-    chi_squares["fibre", 3e6] = 500.0
-    ranking = ranking_of(entry_of("gravity", 2e4), entry_of("wind", 1e4), entry_of("fibre", 1e4))
-    refits_of(ALONE, current, first, ranking, SPACING, None, lambda _text: None)
-    assert asked == [("gravity", 3e6), ("wind", 3e6), ("fibre", 3e6)]
-    assert bounds == [np.inf, np.inf, refits.HOPELESS * 400.0]
+    assert bounds == ([np.inf] * 3 if afar else [np.inf, np.inf, refits.HOPELESS * 400.0])
+    assert allowed == [refits.FIRST_AFAR if afar else refits.FIRST] * 3
 
 
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])
@@ -1104,26 +1087,31 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
     assert pruned == (["wind"] if asked else [])
 
 
-def test_of_other_scales_that_is_taken_at_which_one_effect_promises_most(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("names", "asked"),
+    [(None, discover.LOADS), (["wind", "fibre"], ["wind"]), (["fibre", "tether"], ["fibre", "tether"])],
+)
+def test_of_other_scales_that_is_taken_at_which_a_load_promises_most(
+    names: list[str] | None, asked: Sequence[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scales = [solution_of(plain_belief(), evaluation_of(1e4)) for _ in range(3)]
     promised = {id(scales[0]): 2e3, id(scales[1]): 7e3, id(scales[2]): 5e3}
     by_belief = {id(solution.belief): promised[id(solution)] for solution in scales}
 
-    def rank(_e: object, belief: Belief, *_: object, trials: bool, **__: object) -> Ranking:
-        assert not trials
+    def rank(
+        _e: object, belief: Belief, *_: object, trials: bool, names: Sequence[str], **__: object
+    ) -> Ranking:
+        assert not trials and list(names) == list(asked)
         entries = entry_of("gravity", 1e2), entry_of("base_motion", by_belief[id(belief)])
         return replace(ranking_of(*entries), chi_square=1e4)
 
     monkeypatch.setattr(discover, "rank", rank)
     monkeypatch.setattr(discover, "at_other_scales", lambda *_: scales)
     generator = np.random.default_rng(0)
-    found = discover._beside(ALONE, (0.06, scales[0]), SPACING, generator, None, None)
-    assert found is not None and found[0] is scales[1]
-    assert max(entry.statistic for entry in found[1].entries) == 7e3
+    found = discover._from_afar(ALONE, (0.06, scales[0]), SPACING, generator, names, None)
+    assert found is scales[1]
     monkeypatch.setattr(discover, "at_other_scales", lambda *_: [])
-    assert discover._beside(ALONE, (0.06, scales[0]), SPACING, generator, None, None) is None
+    assert discover._from_afar(ALONE, (0.06, scales[0]), SPACING, generator, names, None) is None
 
 
 # ---- a loop that was stopped ------------------------------------------------------------------

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mphygs.compare.allowance import Allowance
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
+from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.rank import Ranking, rank
@@ -40,6 +42,8 @@ LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.8
+# What tells common scales of the materials apart where something acts from the start on.
+LOADS = ("gravity", "wind", "base_motion")
 # So much of the noise or less in every range says that the noise is stated too large.
 FAR_LESS = 0.5
 
@@ -214,8 +218,16 @@ def discover(
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
         generator = np.random.default_rng((seed, len(steps)))
         window = tractable_window(experiment, current, spacing, say)
+        afar = _from_afar(experiment, window, spacing, generator, names, report)
+        if afar is not None:
+            window = window[0], afar
         fitted = window[1]
-        share = allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])
+        # From afar the grid's error is that of another motion: no share of what is left there.
+        share = (
+            allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])
+            if afar is None
+            else Allowance()
+        )
         ranking = rank(
             experiment,
             fitted.belief,
@@ -228,13 +240,14 @@ def discover(
             report=report,
         )
         rankings.append(ranking)
-        beside = _beside(experiment, window, spacing, generator, names, report)
         for entry in ranking.entries[:6]:
             say(
                 f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, "
                 f"p {entry.p_value:.2g}"
             )
-        finished = refits_of(experiment, current, window, ranking, spacing, generator, say, beside=beside)
+        finished = refits_of(
+            experiment, current, window, ranking, spacing, generator, say, afar=afar is not None
+        )
         for r in finished:
             if window[0] == 1.0 and r.surprising:
                 warnings.append(
@@ -285,26 +298,26 @@ def discover(
     return _conclude(steps, rankings, warnings)
 
 
-def _beside(
+def _from_afar(
     experiment: Experiment,
     window: tuple[float, Solution],
     spacing: float,
     generator: np.random.Generator,
     names: Sequence[str] | None,
     report: Callable[[str], None] | None,
-) -> tuple[Solution, Ranking] | None:
-    """Where a first model is far off even on the first few frames: how the smooth effects rank with softer
-    materials, at the scale at which one of them promises to leave least."""
-    best: tuple[Solution, Ranking] | None = None
-    least = np.inf
+) -> Solution | None:
+    """Where a first model is far off even on the first few frames: these frames seen with all parts as soft
+    as usual, at the scale at which a load promises to leave least."""
+    best, least = None, np.inf
+    loads = LOADS if names is None else [name for name in LOADS if name in names] or names
     for solution in at_other_scales(experiment, window, spacing):
         ranking = rank(
             experiment, solution.belief, solution.evaluation, spacing, share=window[0],
-            generator=generator.spawn(1)[0], names=names, trials=False, report=report,
+            generator=generator.spawn(1)[0], names=loads, trials=False, report=report,
         )  # fmt: skip
         left = ranking.chi_square - max((entry.statistic for entry in ranking.entries), default=0.0)
         if left < least:
-            best, least = (solution, ranking), left
+            best, least = solution, left
     return best
 
 
@@ -332,4 +345,5 @@ def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -
             f"no range leaves more than {worst:.2g} of the noise: sigma may be {1.0 / max(worst, 1e-3):.2g} "
             "times too large, and hide what is missing"
         )
+    came += doubted_sigma(last.compared)
     return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings, *came))

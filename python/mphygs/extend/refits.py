@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +25,9 @@ from mphygs.simulate.errors import SimulationError
 # So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
 # chi^2.
 BEGUN, FINISHED, NEARLY = 8, 3, 1.25
-# Jacobians of a refit that is begun; where all frames are nearly right. Far from the data damping goes to its
-# strength in stages.
-FIRST, FIRST_NEAR = 3, 2
+# Jacobians of a refit that is begun; where all frames are nearly right; from materials that were not fitted.
+# Far from the data damping goes to its strength in stages, and the right one may be the last to get there.
+FIRST, FIRST_NEAR, FIRST_AFAR = 3, 2, 8
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
@@ -86,42 +86,32 @@ def refits_of(
     generator: np.random.Generator,
     say: Callable[[str], None],
     *,
-    beside: tuple[Solution, Ranking] | None = None,
+    afar: bool = False,
 ) -> list[Refit]:
     """Refits of the promising entries, those that are closest after a few iterations brought to the end.
 
-    beside: the window seen from other materials, and what ranks there: refits begin from there as well.
+    afar: whether the window is seen from materials that were not fitted to it.
     """
     begun: list[tuple[float, Entry, Solution]] = []
     # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
-    others = {entry.effect: entry for entry in promising(beside[1])} if beside else {}
-    for wave in waves(_with_others(promising(ranking), others)):
+    iterations = FIRST_AFAR if afar else FIRST_NEAR if near else FIRST
+    for wave in waves(promising(ranking)):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
-        # Seen from other materials no first iteration says how far one leads, and a few frames cost little.
-        hopeless = HOPELESS * best if beside is None else np.inf
+        # From afar no first iteration says how far one leads, and a few frames cost little.
+        hopeless = np.inf if afar else HOPELESS * best
         chosen = [entry for entry in wave if not _far_behind(entry, ranking, begun)]
 
         def start(own: Experiment, entry: Entry, hopeless: float = hopeless) -> Solution | None:
-            ways = [(window[1], entry)] if entry is not others.get(entry.effect) else []
-            ways += [(beside[0], others[entry.effect])] if entry.effect in others else []
-            begun = [
-                start_refit(
-                    own,
-                    before,
-                    way,
-                    spacing,
-                    share=window[0],
-                    iterations=FIRST_NEAR if near else FIRST,
-                    hopeless=hopeless,
-                    report=say,
-                )
-                for before, way in ways
-            ]
-            return min(
-                (solution for solution in begun if solution is not None),
-                key=lambda solution: solution.evaluation.chi_square,
-                default=None,
+            return start_refit(
+                own,
+                window[1],
+                entry,
+                spacing,
+                share=window[0],
+                iterations=iterations,
+                hopeless=hopeless,
+                report=say,
             )
 
         for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
@@ -142,16 +132,16 @@ def refits_of(
     wider, alike = _contained(alike)
     alike, astray = _told_by_prediction(experiment, alike, spacing, say)
     behind = [*astray, *behind]
-    found = finished(followed_onward(experiment, window[0], alike, spacing))
+    found = finished(followed_onward(experiment, window[0], alike, spacing, say))
     if wider:
         if _spared(experiment, found, wider, spacing):
             found = [replace(r, contained_in=wider_than(r.entry.effect, _effects(wider))) for r in found]
         elif not any(_at_noise(r) for r in found):
-            found += finished(followed_onward(experiment, window[0], wider, spacing))
+            found += finished(followed_onward(experiment, window[0], wider, spacing, say))
     if behind and not any(r.pays or r.may_pay for r in found):
         behind = behind[:FINISHED]
         say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
-        found += finished(followed_onward(experiment, window[0], behind, spacing))
+        found += finished(followed_onward(experiment, window[0], behind, spacing, say))
     return found
 
 
@@ -253,12 +243,6 @@ def _spared(
     )
 
 
-def _with_others(entries: Sequence[Entry], others: Mapping[str, Entry]) -> list[Entry]:
-    """The entries, behind those that only other materials promise."""
-    known = {entry.effect for entry in entries}
-    return [*(entry for name, entry in others.items() if name not in known), *entries]
-
-
 def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[tuple[float, Entry, Solution]]) -> bool:
     """Whether an entry stays behind what is reached even if it brings many times its promise; not where one
     that promised hardly more is near the best already."""
@@ -330,7 +314,11 @@ def _worth_the_end(
 
 
 def followed_onward(
-    experiment: Experiment, share: float, begun: Sequence[tuple[float, Entry, Solution]], spacing: float
+    experiment: Experiment,
+    share: float,
+    begun: Sequence[tuple[float, Entry, Solution]],
+    spacing: float,
+    say: Callable[[str], None],
 ) -> list[tuple[float, Entry, Solution]]:
     """Refits to a share of the frames brought to all of them, side by side. begun: chi^2, entry and fit, the
     best first, as they are returned.
@@ -360,7 +348,10 @@ def followed_onward(
                     return None
 
             for (entry, _, plan), fit in zip(wave, side_by_side(experiment, follow, wave), strict=True):
-                if fit is not None and fit.evaluation.chi_square <= hopeless:
+                if fit is None:
+                    continue
+                say(f"with {entry.effect}, {reach:.0%} of the frames: {fit.evaluation.misfit:.3f} sigma")
+                if fit.evaluation.chi_square <= hopeless:
                     there.append((entry, fit, plan))
         there.sort(key=lambda item: item[1].evaluation.chi_square)
         if reach < 1.0:
