@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -29,9 +30,10 @@ from mphygs.extend.refits import followed_onward, promising, refits_of
 from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
 from mphygs.extend.window import tractable_window
+from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import TRACTABLE
+from mphygs.fit.schedule import CONTRAST, TRACTABLE, about_its_scale
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -261,8 +263,11 @@ def test_a_model_that_is_far_off_from_the_start_is_seen_from_softer_materials() 
     usual = plain_belief().with_parameter(KEY, value=3e6, prior_mean=np.log(1e5), prior_std=2.0)
 
     def others(misfit: float, belief: Belief = usual) -> list[float]:
+        # The bounds about the stiff one that was found are not theirs.
+        belief = about_its_scale(belief)
         solution = solution_of(belief, evaluation_of(100.0 * misfit**2))
         found = window.at_other_scales(experiment, (0.06, solution), SPACING)
+        assert all(s.belief[KEY].upper == s.belief[KEY].value * CONTRAST for s in found)
         return [s.belief[KEY].value for s in found]
 
     # The softest that cost at most twice the least: at 30 kPa it is four times as much.
@@ -298,6 +303,18 @@ def test_forgetting_puts_materials_at_the_middle_of_their_priors() -> None:
     # No prior, or no material: kept.
     assert found["part0.density"] == belief["part0.density"]
     assert found["viscosity.eta"].value == 3.0
+    # Bounds about a scale that was found are not those of another one.
+    narrow = about_its_scale(belief.with_parameter(KEY, value=1e7))
+    assert narrow[KEY].lower == pytest.approx(1e7 / CONTRAST) and narrow[KEY].upper == 1e7 * CONTRAST
+    assert narrow["part0.density"] == belief["part0.density"]
+    assert narrow[KEY].lower > 2e5 and window.forget(narrow)[KEY] == found[KEY]
+    again = about_its_scale(window.forget(narrow))
+    assert again[KEY].lower == pytest.approx(2e5 / CONTRAST) and again[KEY].widest == narrow[KEY].widest
+    # Never beyond those that it had from the start.
+    stated = belief.with_parameter(KEY, value=2e5, lower=1e5, upper=5e5)
+    assert (about_its_scale(stated)[KEY].lower, about_its_scale(stated)[KEY].upper) == (1e5, 5e5)
+    kept = belief_from_document(json.loads(json.dumps(document_of_belief(narrow))))
+    assert kept.parameters == narrow.parameters
 
 
 # ---- on from a window -------------------------------------------------------------------------

@@ -11,7 +11,15 @@ from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import SCALES, TRACTABLE, find_scale, forget, stiffened
+from mphygs.fit.schedule import (
+    PATIENCE,
+    SCALES,
+    TRACTABLE,
+    about_its_scale,
+    find_scale,
+    forget,
+    stiffened,
+)
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -58,14 +66,21 @@ def at_other_scales(experiment: Experiment, window: tuple[float, Solution], spac
         return []
     problem, belief = experiment.window(spacing, share), forget(solution.belief)
     seen: list[tuple[float, Belief]] = []
-    for scale in SCALES:
-        trial = stiffened(belief, scale)
+    least, worse = np.inf, 0
+    for scale in sorted(SCALES, reverse=True):
+        if worse >= PATIENCE and seen and belief.prestress == "equilibrium":
+            break  # softer ones take long to come to rest
+        trial = about_its_scale(stiffened(belief, scale))
+        worse += 1
         try:
-            seen.append((problem.evaluate(trial, jacobian=False).cost, trial))
+            cost = problem.evaluate(trial, jacobian=False).cost
         except SimulationError:
             continue
-    least = min((cost for cost, _ in seen), default=np.inf)
-    chosen = [trial for cost, trial in seen if cost <= HARDLY_WORSE * least][:OTHERS]
+        seen.append((cost, trial))
+        least = min(least, cost)
+        if cost <= HARDLY_WORSE * least:
+            worse = 0
+    chosen = [trial for cost, trial in reversed(seen) if cost <= HARDLY_WORSE * least][:OTHERS]
     evaluations = [problem.evaluate(trial) for trial in chosen]
     return [
         Solution(trial, evaluation, (evaluation.cost,), True, "at another scale")

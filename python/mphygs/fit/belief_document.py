@@ -10,8 +10,8 @@ import numpy as np
 
 from mphygs.model.belief import Belief, Likeness, Parameter, Term
 
-# JSON has no infinity: these are absent where they are infinite.
-_UNBOUNDED = {"lower": -math.inf, "upper": math.inf, "prior_std": math.inf}
+# Absent where they have these values: JSON has no infinity.
+_ABSENT = {"lower": -math.inf, "upper": math.inf, "prior_std": math.inf, "widest": None}
 
 
 def plain_value(value: object) -> object:
@@ -32,8 +32,8 @@ def document_of_belief(belief: Belief) -> dict[str, object]:
     parameters = []
     for parameter in belief.parameters:
         entry = asdict(parameter)
-        for key, infinite in _UNBOUNDED.items():
-            if entry[key] == infinite:
+        for key, usual in _ABSENT.items():
+            if entry[key] == usual:
                 del entry[key]
         parameters.append(plain_value(entry))
     document = {

@@ -123,10 +123,12 @@ def plan_of(
 
 
 def forget(belief: Belief) -> Belief:
-    """The belief with its free materials back at the middle of their priors."""
+    """The belief with its free materials back at the middle of their priors, within the bounds that they had
+    before a scale was found."""
     parameters = []
     for p in belief.parameters:
         if p.free and p.log and np.isfinite(p.prior_std) and p.key.rsplit(".", 1)[0] in belief.parts:
+            p = p.widened()
             p = replace(p, value=float(np.clip(np.exp(p.prior_mean), p.lower, p.upper)))
         parameters.append(p)
     return replace(belief, parameters=tuple(parameters))
@@ -159,9 +161,19 @@ def without_stiffest(belief: Belief) -> Belief | None:
     return belief.with_parameter(stiffest.key, value=min(max(value, stiffest.lower), stiffest.upper))
 
 
+def about_its_scale(belief: Belief) -> Belief:
+    """The belief with each free Young's modulus kept within CONTRAST of where it is."""
+    return replace(
+        belief,
+        parameters=tuple(
+            p.narrowed(CONTRAST) if p.free and p.key.endswith(".youngs_modulus") else p
+            for p in belief.parameters
+        ),
+    )
+
+
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
     """Move all free Young's moduli together to the factor that fits the first frames best."""
-    keys = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
     best, best_cost, worse = None, np.inf, 0
     for scale in sorted(SCALES, reverse=True):
         if best is not None and worse >= PATIENCE and belief.prestress == "equilibrium":
@@ -178,11 +190,7 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
             best, best_cost, worse = trial, cost, 0
     if best is None:
         raise SimulationError("no stiffness between 3 kPa and 3 MPa could be simulated from the start")
-    for key in keys:
-        p = best[key]
-        low, high = max(p.lower, p.value / CONTRAST), min(p.upper, p.value * CONTRAST)
-        best = best.with_parameter(key, lower=low, upper=high)
-    return best
+    return about_its_scale(best)
 
 
 def simulable(problem: Problem, belief: Belief) -> Belief:

@@ -20,7 +20,8 @@ class Parameter:
 
     value, lower, upper: in `unit`; log: fitted in its logarithm; free: fitted at all;
     prior_std: standard deviation about `prior_mean`, of the logarithm where log (inf: none);
-    scale: a usual size of the change of a parameter that is not in logarithms.
+    scale: a usual size of the change of a parameter that is not in logarithms;
+    widest: the bounds before a fit narrowed them, None where none did.
     """
 
     key: str
@@ -33,8 +34,11 @@ class Parameter:
     prior_mean: float = 0.0
     prior_std: float = math.inf
     scale: float = 1.0
+    widest: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        if self.widest is not None:
+            object.__setattr__(self, "widest", tuple(self.widest))
         if not self.lower <= self.value <= self.upper:
             raise ValueError(f"{self.key} = {self.value} {self.unit}: expected {self.lower} to {self.upper}")
         if self.log and self.lower <= 0:
@@ -49,6 +53,18 @@ class Parameter:
         """This parameter moved to a coordinate, kept within its bounds."""
         value = math.exp(min(coordinate, 700.0)) if self.log else coordinate * self.scale
         return replace(self, value=float(min(max(value, self.lower), self.upper)))
+
+    def narrowed(self, factor: float) -> Parameter:
+        """This parameter kept within a factor of its value, as far as its widest bounds allow."""
+        widest = self.widest or (self.lower, self.upper)
+        lower, upper = max(widest[0], self.value / factor), min(widest[1], self.value * factor)
+        return replace(self, lower=lower, upper=upper, widest=widest)
+
+    def widened(self) -> Parameter:
+        """This parameter with the bounds that it had before a fit narrowed them."""
+        if self.widest is None:
+            return self
+        return replace(self, lower=self.widest[0], upper=self.widest[1], widest=None)
 
     @property
     def at_bound(self) -> bool:
