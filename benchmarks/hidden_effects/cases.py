@@ -72,9 +72,11 @@ def _takes(kind: str) -> tuple[Take, ...]:
     )
 
 
-def _elements(label: str, group: str, *hidden: str, kind: str = "block-flower") -> Case:
+def _elements(
+    label: str, group: str, *hidden: str, kind: str = "block-flower", noise: str = "white"
+) -> Case:
     """A flower whose truth comes from independent finite elements."""
-    return Case(f"elements-{label}", group, kind, hidden, simulator="finite-element")
+    return Case(f"elements-{label}", group, kind, hidden, noise, simulator="finite-element")
 
 
 def _single(name: str, strengths: dict[str, str], kind: str = "two-part-bar") -> list[Case]:
@@ -138,6 +140,7 @@ CASES: tuple[Case, ...] = (
         group_of=("viscosity",),
     ),
     _elements("null", "null"),
+    _elements("null-correlated", "null", noise="correlated"),
     _elements("mass_damping", "single", "mass_damping:alpha=1.2"),
     _elements("air_drag", "single", "air_drag:c_d=1.6", kind="hanging-block-flower"),
     _elements("wind", "single", "wind:w_x=1.4:w_y=0.5:c_d=1.5"),
@@ -150,7 +153,14 @@ CASES: tuple[Case, ...] = (
     _elements("eigenstrain", "single", "eigenstrain:rate=0.03"),
     _elements("stiffening", "single", "stiffening"),
     _elements("late-gravity", "single", "gravity:delta_g_x=0.7:delta_g_y=-0.4:at_rest=false"),
+    _elements("viscosity", "single", "viscosity:eta=60"),
+    _elements("fibre", "single", "fibre"),
+    _elements("stiffness_gradient", "single", "stiffness_gradient:slope=9"),
+    _elements("head-mass", "single", "attached_mass:m=2.5e-3:place=0.012/0/0.09:at_rest=false"),
+    _elements("drag-tilt", "pair", "air_drag:c_d=3", "gravity:delta_g_x=0.7:delta_g_y=-0.4:at_rest=false"),
     _elements("time_offset", "fault", "time_offset:offset=0.011"),
+    _elements("frame_drift", "fault", "frame_drift"),
+    _elements("length_scale", "fault", "length_scale:scale=0.015"),
     _elements("cubic_drag", "outside", "cubic_drag:c_3=22:part=head"),
     _elements("actuation", "outside", "actuation:amplitude=1000:f=2.6:part=stem"),
     _elements("point_field", "outside", "point_field:strength=0.003:x=0.06:y=0.02:z=0.1"),

@@ -931,13 +931,20 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
 def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     chi_squares = {"gravity": 800.0, "wind": 400.0, "fibre": 500.0}
     bounds: list[float] = []
-    allowed: list[int] = []
+    allowed: list[tuple[int, float]] = []
 
     def start_refit(
-        _e: object, before: Solution, entry: Entry, *_: object, hopeless: float, iterations: int, **__: object
+        _e: object,
+        before: Solution,
+        entry: Entry,
+        *_: object,
+        hopeless: float,
+        iterations: int,
+        accuracy: float,
+        **__: object,
     ) -> Solution:
         bounds.append(hopeless)
-        allowed.append(iterations)
+        allowed.append((iterations, accuracy))
         return solution_of(before.belief, evaluation_of(chi_squares[entry.effect]))
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
@@ -948,7 +955,8 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
         ALONE, step_of(assessment_of(9.0)), first, ranking, SPACING, None, lambda _text: None, afar=afar
     )
     assert bounds == ([np.inf] * 3 if afar else [np.inf, np.inf, refits.HOPELESS * 400.0])
-    assert allowed == [refits.FIRST_AFAR if afar else refits.FIRST] * 3
+    far, near = (refits.FIRST_AFAR, refits.ACCURACY_AFAR), (refits.FIRST, refits.ACCURACY)
+    assert allowed == [far if afar else near] * 3
 
 
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])

@@ -318,6 +318,9 @@ def _from_afar(
         left = ranking.chi_square - max((entry.statistic for entry in ranking.entries), default=0.0)
         if left < least:
             best, least = solution, left
+    if best is not None and report:
+        young = [best.belief[f"{part}.youngs_modulus"].value for part in best.belief.parts]
+        report(f"seen with all parts at {1e-3 * np.median(young):.3g} kPa: {best.evaluation.misfit:.3f} sigma")
     return best
 
 

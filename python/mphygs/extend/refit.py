@@ -136,6 +136,7 @@ def start_refit(
     share: float = 1.0,
     iterations: int = 3,
     hopeless: float = math.inf,
+    accuracy: float = 1e-3,
     lender: Problem | None = None,
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
@@ -144,8 +145,8 @@ def start_refit(
     as long as they bring much.
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends once an
-    iteration brings little, or as many are made as any refit may have; lender: the same fit on a coarser
-    grid, whose Jacobians lead as far as they serve.
+    iteration brings little, or as many are made as any refit may have; accuracy: share of the cost that a last
+    step may promise; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
     Returns None where no such model can be simulated.
     """
     problem = experiment.window(spacing, share)
@@ -155,50 +156,50 @@ def start_refit(
         if start is None:
             continue
         try:
-            begun.append(_led(problem, before, entry, start, lender))
+            begun.append(_led(problem, before, entry, start, lender, accuracy))
         except SimulationError:
             continue
     if not begun:
         return None
     solution = min(begun, key=lambda item: item.evaluation.chi_square)
     done, most = len(solution.history) - 1, iterations + MORE
-    solution, done = _falling(problem, solution, done, most, hopeless)
+    solution, done = _falling(problem, solution, done, most, accuracy, hopeless)
     if solution.evaluation.chi_square < hopeless:
         if done < iterations and not solution.converged:
             try:
                 solution = minimise(
-                    problem, solution.belief, iterations=iterations - done, relative_tolerance=1e-3
+                    problem, solution.belief, iterations=iterations - done, relative_tolerance=accuracy
                 )
             except SimulationError:
                 return None
             done += len(solution.history) - 1
-        solution, done = _falling(problem, solution, done, most)
+        solution, done = _falling(problem, solution, done, most, accuracy)
     if report:
         report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
     return solution
 
 
 def _falling(
-    problem: Problem, solution: Solution, done: int, most: int, until: float = 0.0
+    problem: Problem, solution: Solution, done: int, most: int, accuracy: float, until: float = 0.0
 ) -> tuple[Solution, int]:
     """A solution gone on with as long as an iteration brings much, to `most` of them or below a chi^2.
 
     done: the number of those made, returned with it; until: that chi^2."""
     while done < most and solution.evaluation.chi_square >= until:
-        further = _further(problem, solution)
+        further = _further(problem, solution, accuracy)
         if further is None:
             break
         solution, done = further, done + 1
     return solution, done
 
 
-def _further(problem: Problem, solution: Solution) -> Solution | None:
+def _further(problem: Problem, solution: Solution, accuracy: float) -> Solution | None:
     """One more iteration where the last one brought much and another can be made."""
     costs = solution.history[-2:]
     if solution.converged or len(costs) < 2 or costs[1] > FALLING * costs[0]:
         return None
     try:
-        further = minimise(problem, solution.belief, iterations=1, relative_tolerance=1e-3)
+        further = minimise(problem, solution.belief, iterations=1, relative_tolerance=accuracy)
     except SimulationError:
         return None
     return further if len(further.history) > 1 else None
@@ -231,7 +232,12 @@ def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) ->
 
 
 def _led(
-    problem: Problem, before: Solution, entry: Entry, start: Belief, lender: Problem | None
+    problem: Problem,
+    before: Solution,
+    entry: Entry,
+    start: Belief,
+    lender: Problem | None,
+    accuracy: float,
 ) -> Solution:
     """The first iteration from a start. Raises SimulationError where it cannot be simulated."""
     if entry.kind == "threshold":
@@ -240,7 +246,7 @@ def _led(
         start = approached(problem, lender, start)
     else:
         start = approached_from(problem, before, start)
-    return minimise(problem, start, iterations=1, relative_tolerance=1e-3)
+    return minimise(problem, start, iterations=1, relative_tolerance=accuracy)
 
 
 def finish_refit(

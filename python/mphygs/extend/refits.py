@@ -28,6 +28,8 @@ BEGUN, FINISHED, NEARLY = 8, 3, 1.25
 # Jacobians of a refit that is begun; where all frames are nearly right; from materials that were not fitted.
 # Far from the data damping goes to its strength in stages, and the right one may be the last to get there.
 FIRST, FIRST_NEAR, FIRST_AFAR = 3, 2, 8
+# The share of the cost that the last of these may promise. Far off more of what is promised comes later.
+ACCURACY, ACCURACY_AFAR = 1e-3, 1e-4
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
@@ -111,6 +113,7 @@ def refits_of(
                 share=window[0],
                 iterations=iterations,
                 hopeless=hopeless,
+                accuracy=ACCURACY_AFAR if afar else ACCURACY,
                 report=say,
             )
 
@@ -165,7 +168,7 @@ def _with_limits(
         return list(begun)
     try:
         problem = experiment.window(spacing, share)
-        fit = minimise(problem, start, iterations=FIRST, relative_tolerance=1e-3)
+        fit = minimise(problem, start, iterations=FIRST, relative_tolerance=ACCURACY)
     except SimulationError:
         return list(begun)
     own = next((chi_square for chi_square, e, _ in begun if e is entry), np.inf)
