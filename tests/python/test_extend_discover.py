@@ -959,6 +959,29 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
     assert allowed == [far if afar else near] * 3
 
 
+def test_from_afar_places_are_fitted_where_they_may_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    nowhere = plain_belief()
+    there = nowhere.with_effect("tether", {"k": 1.0}, {"place": [0.0, 0.0, 0.01]})
+    asked: list[Solution] = []
+
+    def relocated(share: float, fit: Solution, **_: object) -> Solution:
+        assert share == 0.06
+        asked.append(fit)
+        if len(asked) == 2:
+            raise SimulationError("unstable")
+        return solution_of(fit.belief, evaluation_of(100.0))
+
+    monkeypatch.setattr(refits, "relocated", relocated)
+    experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
+    # The best, one that is followed anyway, two that are not, one without a place, one that is far off.
+    left = [(100.0, there), (134.0, there), (136.0, there), (140.0, there), (150.0, nowhere), (301.0, there)]
+    begun = [(chi, entry_of("tether", 1e4), solution_of(belief, evaluation_of(chi))) for chi, belief in left]
+    found = refits._at_their_places(experiment, begun, 0.06, SPACING, lambda _text: None)
+    assert asked == [begun[2][2], begun[3][2]]
+    assert [chi for chi, _, _ in found] == [100.0, 134.0, 100.0, 140.0, 150.0, 301.0]
+    assert found[2][1] is begun[2][1] and found[2][2] is not begun[2][2]
+
+
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])
 def test_less_is_hoped_for_where_one_is_at_the_noise(best: float, behind: bool) -> None:
     """3 sigma of 1000 rows; an effect that promises 3000 has to bring nearly three times as much."""

@@ -18,6 +18,7 @@ from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, w
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.places import movable, relocated
 from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
@@ -121,6 +122,8 @@ def refits_of(
             if solution is not None:
                 begun.append((solution.evaluation.chi_square, entry, solution))
     begun = _with_limits(experiment, begun, ranking, window[0], spacing, say)
+    if afar:
+        begun = _at_their_places(experiment, begun, window[0], spacing, say)
     begun.sort(key=lambda item: item[0])
 
     def finished(of: Sequence[tuple[float, Entry, Solution]]) -> list[Refit]:
@@ -146,6 +149,30 @@ def refits_of(
         say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
         found += finished(followed_onward(experiment, window[0], behind, spacing, say))
     return found
+
+
+def _at_their_places(
+    experiment: Experiment,
+    begun: Sequence[tuple[float, Entry, Solution]],
+    share: float,
+    spacing: float,
+    say: Callable[[str], None],
+) -> list[tuple[float, Entry, Solution]]:
+    """The refits, those that would not be followed, and are not far from it, with their places fitted: where
+    other materials proposed them they may be far from their own."""
+    best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
+
+    def relocate(own: Experiment, item: tuple[float, Entry, Solution]) -> tuple[float, Entry, Solution]:
+        chi_square, entry, fit = item
+        if not ALIKE * best <= chi_square <= BEHIND * best or not movable(fit.belief):
+            return item
+        try:
+            fit = relocated(own.window(spacing, share), fit, report=say)
+        except SimulationError:
+            return item
+        return fit.evaluation.chi_square, entry, fit
+
+    return side_by_side(experiment, relocate, begun)
 
 
 def _with_limits(
