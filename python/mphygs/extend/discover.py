@@ -320,7 +320,8 @@ def _from_afar(
             best, least = solution, left
     if best is not None and report:
         young = [best.belief[f"{part}.youngs_modulus"].value for part in best.belief.parts]
-        report(f"seen with all parts at {1e-3 * np.median(young):.3g} kPa: {best.evaluation.misfit:.3f} sigma")
+        misfit = best.evaluation.misfit
+        report(f"seen with all parts at {1e-3 * np.median(young):.3g} kPa: {misfit:.3f} sigma")
     return best
 
 

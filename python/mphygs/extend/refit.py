@@ -145,8 +145,8 @@ def start_refit(
     as long as they bring much.
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends once an
-    iteration brings little, or as many are made as any refit may have; accuracy: share of the cost that a last
-    step may promise; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
+    iteration brings little, or as many are made as any refit may have; accuracy: share of the cost that a
+    last step may promise; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
     Returns None where no such model can be simulated.
     """
     problem = experiment.window(spacing, share)
