@@ -26,7 +26,7 @@ from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend import discover, refits, settle, window
 from mphygs.extend.met_again import onward
 from mphygs.extend.refit import Refit
-from mphygs.extend.refits import followed_onward, promising, refits_of
+from mphygs.extend.refits import promising, refits_of
 from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
 from mphygs.extend.window import tractable_window
@@ -344,52 +344,6 @@ def ranking_of(*entries: Entry, misfit: float = 10.0, decoy: float = 0.0) -> Ran
 
 def names(entries: list[Entry]) -> list[str]:
     return [entry.effect for entry in entries]
-
-
-def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    # By effect, chi^2 at each share of the frames that a refit is brought to.
-    courses = {
-        "viscosity": {0.5: 100.0, 1.0: 100.0},
-        "air_drag": {0.5: 120.0, 1.0: 100.0},
-        "mass_damping": {0.5: 130.0, 1.0: 110.0},
-        "wind": {0.5: 300.0, 1.0: 100.0},  # the fifth, and not alike
-        "gravity": {},  # cannot be simulated there
-        "plasticity": {0.5: 110.0, 0.75: 900.0, 1.0: 100.0},  # the only one at 0.75
-        "relaxation": {0.5: 125.0, 1.0: 301.0},  # three times what the best leaves
-    }
-    fitted: list[tuple[str, float]] = []
-    bounds: dict[tuple[str, float], float] = {}
-
-    def fit(share: float, belief: str, *, hopeless: float) -> object:
-        fitted.append((belief, share))
-        bounds[belief, share] = hopeless
-        if share not in courses[belief]:
-            raise SimulationError("unstable")
-        return SimpleNamespace(belief=belief, evaluation=evaluation_of(courses[belief][share]))
-
-    monkeypatch.setattr(refits, "fit_what_sets_in", fit)
-    experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
-    begun = [
-        (
-            100.0,
-            entry_of(name, 100.0, kind="threshold" if name == "plasticity" else "smooth"),
-            SimpleNamespace(belief=name),
-        )
-        for name in courses
-    ]
-    lines: list[str] = []
-    found = followed_onward(experiment, 0.25, begun, SPACING, lines.append)
-    assert {entry.effect for _, entry, _ in found} == {"viscosity", "air_drag", "mass_damping", "plasticity"}
-    assert ("wind", 1.0) not in fitted
-    assert [share for name, share in fitted if name == "plasticity"] == [0.5, 0.75, 1.0]
-    assert all(solution.evaluation.chi_square < 111.0 for _, _, solution in found)
-    # On all frames no more is worth while than three times what the best so far leaves; on the way all is.
-    assert bounds["viscosity", 0.5] == bounds["relaxation", 0.5] == np.inf
-    assert bounds["mass_damping", 1.0] == refits.BEHIND * 100.0
-    few = [item for item in begun if item[1].effect in ("viscosity", "air_drag", "wind")]
-    assert any("air_drag" in line and "50%" in line and "sigma" in line for line in lines)
-    # So many go on whatever they leave.
-    assert len(followed_onward(experiment, 0.25, few, SPACING, lines.append)) == 3
 
 
 def test_only_what_is_significant_is_tried() -> None:
@@ -722,44 +676,6 @@ def test_near_the_floor_more_are_brought_to_the_end(fifth: float, worst: float, 
     assert refits._worth_the_end(begun, 6, finished) is (followed and worst == 1.0)
 
 
-@pytest.mark.parametrize(
-    ("misfits", "behind"),
-    [
-        # 0.21 beyond noise: what leaves ten times as much is astray
-        ({"air_drag": 1.1, "mass_damping": 1.8, "relaxation": 1.7}, ["mass_damping"]),
-        # less than a tenth is noise
-        ({"air_drag": 1.0, "mass_damping": 1.4, "relaxation": 1.42}, ["relaxation"]),
-        # nothing is near: a swing off, no prediction tells
-        ({"air_drag": 2.1, "mass_damping": 9.0}, []),
-        # what sets in may be met again
-        ({"air_drag": 1.1, "mass_damping": 1.2, "contact": 9.0}, []),
-        ({"air_drag": 1.1, "relaxation": np.inf}, ["relaxation"]),
-        ({"mass_damping": 1.1}, []),
-    ],
-)
-def test_what_predicts_the_other_frames_is_followed(misfits: dict[str, float], behind: list[str]) -> None:
-    begun = []
-    for k, name in enumerate(misfits):
-        belief = plain_belief().with_parameter(KEY, value=1e5 + k)
-        entry = entry_of(name, 1e4, kind="threshold" if name == "contact" else "smooth")
-        begun.append((100.0 + k, entry, solution_of(belief, evaluation_of(100.0 + k))))
-
-    def evaluate(belief: Belief, *, jacobian: bool) -> Evaluation:
-        assert not jacobian
-        misfit = list(misfits.values())[round(belief[KEY].value - 1e5)]
-        if not np.isfinite(misfit):
-            raise SimulationError("unstable")
-        return evaluation_of(100.0 * misfit**2)
-
-    experiment = SimpleNamespace(
-        settings=ALONE.settings, problem=lambda _spacing: SimpleNamespace(evaluate=evaluate)
-    )
-    said: list[str] = []
-    front, astray = refits._told_by_prediction(experiment, begun, SPACING, said.append)
-    assert [entry.effect for _, entry, _ in astray] == behind and len(said) == len(behind)
-    assert [entry.effect for _, entry, _ in front] == [name for name in misfits if name not in behind]
-
-
 @pytest.mark.parametrize("pays", [True, False])
 @pytest.mark.parametrize("astray", [True, False])
 def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
@@ -771,7 +687,7 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     chi_squares = {"frame_drift": 100.0, "wind": 120.0, "base_motion": 220.0, "tether": 400.0, "fibre": 500.0}
     chi_squares["gravity"] = 600.0
     monkeypatch.setattr(
-        refits, "_told_by_prediction", lambda _e, begun, *_: (begun[:front], begun[front:])
+        refits, "told_by_prediction", lambda _e, begun, *_: (begun[:front], begun[front:])
     )
     brought: list[list[str]] = []
 
@@ -834,7 +750,7 @@ def test_more_numbers_are_not_fitted_to_what_may_be_the_grids(
         monkeypatch.setattr(refits, function.__name__, function)
     monkeypatch.setattr(refits, "followed_onward", onward)
     monkeypatch.setattr(refits, "may_have_all", lambda *_: grids)
-    monkeypatch.setattr(refits, "_told_by_prediction", lambda _e, begun, *_: (begun, []))
+    monkeypatch.setattr(refits, "told_by_prediction", lambda _e, begun, *_: (begun, []))
     monkeypatch.setattr(refits, "_hopeless", lambda *_: np.inf)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (0.5, solution_of(plain_belief(), evaluation_of(1e6)))
@@ -957,29 +873,6 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
     assert bounds == ([np.inf] * 3 if afar else [np.inf, np.inf, refits.HOPELESS * 400.0])
     far, near = (refits.FIRST_AFAR, refits.ACCURACY_AFAR), (refits.FIRST, refits.ACCURACY)
     assert allowed == [far if afar else near] * 3
-
-
-def test_from_afar_places_are_fitted_where_they_may_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    nowhere = plain_belief()
-    there = nowhere.with_effect("tether", {"k": 1.0}, {"place": [0.0, 0.0, 0.01]})
-    asked: list[Solution] = []
-
-    def relocated(share: float, fit: Solution, **_: object) -> Solution:
-        assert share == 0.06
-        asked.append(fit)
-        if len(asked) == 2:
-            raise SimulationError("unstable")
-        return solution_of(fit.belief, evaluation_of(100.0))
-
-    monkeypatch.setattr(refits, "relocated", relocated)
-    experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
-    # The best, one that is followed anyway, two that are not, one without a place, one that is far off.
-    left = [(100.0, there), (134.0, there), (136.0, there), (140.0, there), (150.0, nowhere), (301.0, there)]
-    begun = [(chi, entry_of("tether", 1e4), solution_of(belief, evaluation_of(chi))) for chi, belief in left]
-    found = refits._at_their_places(experiment, begun, 0.06, SPACING, lambda _text: None)
-    assert asked == [begun[2][2], begun[3][2]]
-    assert [chi for chi, _, _ in found] == [100.0, 134.0, 100.0, 140.0, 150.0, 301.0]
-    assert found[2][1] is begun[2][1] and found[2][2] is not begun[2][2]
 
 
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])

@@ -10,22 +10,28 @@ import numpy as np
 from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.diagnose.grid_error import may_have_all, unabsorbed
 from mphygs.diagnose.rank import Entry, Ranking
-from mphygs.extend.met_again import onward
+from mphygs.extend.following import (
+    BEHIND,
+    FINISHED,
+    LINEAR,
+    Begun,
+    at_their_places,
+    followed_onward,
+    told_by_prediction,
+)
 from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
-from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.settle import ALIKE, ALIKE_EXCESS, RIVAL
 from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, without_memory
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.places import movable, relocated
 from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
 
-# So many effects are begun to be refitted; so many of them to the end, and those within a factor of the best
-# chi^2.
-BEGUN, FINISHED, NEARLY = 8, 3, 1.25
+# So many effects are begun to be refitted; beyond FINISHED of them, those within a factor of the best chi^2
+# are brought to the end.
+BEGUN, NEARLY = 8, 1.25
 # Jacobians of a refit that is begun; where all frames are nearly right; from materials that were not fitted.
 # Far from the data damping goes to its strength in stages, and the right one may be the last to get there.
 FIRST, FIRST_NEAR, FIRST_AFAR = 3, 2, 8
@@ -34,10 +40,10 @@ ACCURACY, ACCURACY_AFAR = 1e-3, 1e-4
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
 SIGNIFICANT = 1e-3
-# Below this misfit [sigma] an effect is tried only where it is predicted to take a share of the excess, less
+# Below LINEAR [sigma] an effect is tried only where it is predicted to take a share of the excess, less
 # where trials of a few sizes predict it, and, short of this share of what the best takes, more than effects
 # that do nothing; so many of the best where none takes its share.
-LINEAR, NEAR_BEST, LAST_RESORT = 2.0, 0.2, 2
+NEAR_BEST, LAST_RESORT = 0.2, 2
 WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # Up to so many sigma an effect may bring so many times what its tangents promise, fewer times where the best
 # one is at the noise; one that would not come near the best one even then is not begun. What sets in has no
@@ -45,12 +51,9 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
 # Unless one that promised hardly more comes near: then tangents promise too little. This share is as much.
 AS_MUCH = 0.9
-# Where a refit to the first frames predicts the others to LINEAR, those that leave so many times as much
-# beyond noise there are behind; what is less than the second number [of the noise's mean square] is noise.
-ASTRAY, NOISE = 10.0, 0.1
 # An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
-# followed; one that leaves so many times as much once it was followed onward is not brought to the end.
-HOPELESS, BEHIND = 10.0, 3.0
+# followed.
+HOPELESS = 10.0
 
 
 def promising(ranking: Ranking) -> list[Entry]:
@@ -95,7 +98,7 @@ def refits_of(
 
     afar: whether the window is seen from materials that were not fitted to it.
     """
-    begun: list[tuple[float, Entry, Solution]] = []
+    begun: list[Begun] = []
     # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     iterations = FIRST_AFAR if afar else FIRST_NEAR if near else FIRST
@@ -123,10 +126,10 @@ def refits_of(
                 begun.append((solution.evaluation.chi_square, entry, solution))
     begun = _with_limits(experiment, begun, ranking, window[0], spacing, say)
     if afar:
-        begun = _at_their_places(experiment, begun, window[0], spacing, say)
+        begun = at_their_places(experiment, begun, window[0], spacing, say)
     begun.sort(key=lambda item: item[0])
 
-    def finished(of: Sequence[tuple[float, Entry, Solution]]) -> list[Refit]:
+    def finished(of: Sequence[Begun]) -> list[Refit]:
         return _finished(experiment, current, of, near, spacing, generator, say)
 
     if window[0] == 1.0 or not begun:
@@ -136,7 +139,7 @@ def refits_of(
     limit = ALIKE * begun[0][0]
     alike, behind = ([item for item in begun if (item[0] < limit) is side] for side in (True, False))
     wider, alike = _contained(alike)
-    alike, astray = _told_by_prediction(experiment, alike, spacing, say)
+    alike, astray = told_by_prediction(experiment, alike, spacing, say)
     behind = [*astray, *behind]
     found = finished(followed_onward(experiment, window[0], alike, spacing, say))
     if wider:
@@ -151,38 +154,14 @@ def refits_of(
     return found
 
 
-def _at_their_places(
-    experiment: Experiment,
-    begun: Sequence[tuple[float, Entry, Solution]],
-    share: float,
-    spacing: float,
-    say: Callable[[str], None],
-) -> list[tuple[float, Entry, Solution]]:
-    """The refits, those that would not be followed, and are not far from it, with their places fitted: where
-    other materials proposed them they may be far from their own."""
-    best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
-
-    def relocate(own: Experiment, item: tuple[float, Entry, Solution]) -> tuple[float, Entry, Solution]:
-        chi_square, entry, fit = item
-        if not ALIKE * best <= chi_square <= BEHIND * best or not movable(fit.belief):
-            return item
-        try:
-            fit = relocated(own.window(spacing, share), fit, report=say)
-        except SimulationError:
-            return item
-        return fit.evaluation.chi_square, entry, fit
-
-    return side_by_side(experiment, relocate, begun)
-
-
 def _with_limits(
     experiment: Experiment,
-    begun: Sequence[tuple[float, Entry, Solution]],
+    begun: Sequence[Begun],
     ranking: Ranking,
     share: float,
     spacing: float,
     say: Callable[[str], None],
-) -> list[tuple[float, Entry, Solution]]:
+) -> list[Begun]:
     """The refits, with a viscosity begun where a relaxation led that is over in a short time: alone it may be
     far from its strength yet."""
     led = next((fit.belief for _, entry, fit in begun if entry.effect == "relaxation"), None)
@@ -206,52 +185,22 @@ def _with_limits(
     return [*rest, (fit.evaluation.chi_square, entry, fit)]
 
 
-def _told_by_prediction(
-    experiment: Experiment,
-    begun: Sequence[tuple[float, Entry, Solution]],
-    spacing: float,
-    say: Callable[[str], None],
-) -> tuple[list[tuple[float, Entry, Solution]], list[tuple[float, Entry, Solution]]]:
-    """Refits to the first frames that predict the others, and those that go astray there; none does where no
-    prediction is near the data. What sets in may do so once more: its prediction says little."""
-
-    def beyond(own: Experiment, item: tuple[float, Entry, Solution]) -> float:
-        """Mean square beyond noise over all fitted frames."""
-        try:
-            misfit = own.problem(spacing).evaluate(item[2].belief, jacobian=False).misfit
-        except SimulationError:
-            return np.inf
-        return max(misfit**2 - 1.0, 0.0)
-
-    smooth = [item for item in begun if item[1].kind != "threshold"]
-    if len(smooth) < 2:
-        return list(begun), []
-    left = side_by_side(experiment, beyond, smooth)
-    if min(left) > LINEAR**2 - 1.0:
-        return list(begun), []
-    limit = ASTRAY * max(min(left), NOISE)
-    astray = [item for item, value in zip(smooth, left, strict=True) if value > limit]
-    for item in astray:
-        say(f"with {item[1].label}: the other frames are far from what it predicts")
-    return [item for item in begun if not any(item is other for other in astray)], astray
-
-
 def _at_noise(refit: Refit) -> bool:
     """Whether a refit pays and leaves noise alone."""
     return refit.pays and refit.assessment.worst <= AT_FLOOR
 
 
-def _effects(begun: Sequence[tuple[float, Entry, Solution]]) -> list[str]:
+def _effects(begun: Sequence[Begun]) -> list[str]:
     return [entry.effect for _, entry, _ in begun]
 
 
 def _contained(
-    begun: Sequence[tuple[float, Entry, Solution]],
-) -> tuple[list[tuple[float, Entry, Solution]], list[tuple[float, Entry, Solution]]]:
+    begun: Sequence[Begun],
+) -> tuple[list[Begun], list[Begun]]:
     """Refits whose effect is another one of them with more numbers that bring little, and the rest."""
     left = {entry.effect: chi - fit.evaluation.data_rows for chi, entry, fit in begun}
 
-    def brings_little(item: tuple[float, Entry, Solution]) -> bool:
+    def brings_little(item: Begun) -> bool:
         simple = simple_of(item[1].effect)
         return simple in left and left[simple] < RIVAL * left[item[1].effect]
 
@@ -262,7 +211,7 @@ def _contained(
 def _spared(
     experiment: Experiment,
     found: Sequence[Refit],
-    wider: Sequence[tuple[float, Entry, Solution]],
+    wider: Sequence[Begun],
     spacing: float,
 ) -> bool:
     """Whether effects with more numbers need no refit: what the simpler ones leave may be the grid's own,
@@ -273,7 +222,7 @@ def _spared(
     )
 
 
-def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[tuple[float, Entry, Solution]]) -> bool:
+def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[Begun]) -> bool:
     """Whether an entry stays behind what is reached even if it brings many times its promise; not where one
     that promised hardly more is near the best already."""
     best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
@@ -291,7 +240,7 @@ def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[tuple[float, Ent
 def _finished(
     experiment: Experiment,
     current: Step,
-    begun: Sequence[tuple[float, Entry, Solution]],
+    begun: Sequence[Begun],
     near: bool,
     spacing: float,
     generator: np.random.Generator,
@@ -331,7 +280,7 @@ def _finished(
 
 
 def _worth_the_end(
-    begun: Sequence[tuple[float, Entry, Solution]], number: int, finished: Sequence[Refit]
+    begun: Sequence[Begun], number: int, finished: Sequence[Refit]
 ) -> bool:
     """Whether a further refit is brought to the end near the floor, where all are within a factor of the best
     and what they leave beyond noise tells: as little as the best, or as rivals may; or, as long as none of so
@@ -341,59 +290,6 @@ def _worth_the_end(
     if beyond <= max(NEARLY * least, ALIKE_EXCESS * rows):
         return True
     return number < 2 * FINISHED and beyond <= BEHIND * least and not any(_at_noise(r) for r in finished)
-
-
-def followed_onward(
-    experiment: Experiment,
-    share: float,
-    begun: Sequence[tuple[float, Entry, Solution]],
-    spacing: float,
-    say: Callable[[str], None],
-) -> list[tuple[float, Entry, Solution]]:
-    """Refits to a share of the frames brought to all of them, side by side. begun: chi^2, entry and fit, the
-    best first, as they are returned.
-
-    The motion is followed from the window on, not met all at once: half a swing off there is no way back. Who
-    falls behind others on the way is not brought to the end.
-    """
-    followed = [(entry, solution, onward(share, entry.kind)) for _, entry, solution in begun]
-    for reach in sorted({reach for _, _, plan in followed for reach in plan}):
-        passing = [item for item in followed if reach not in item[2]]
-        there: list[tuple[Entry, Solution, list[float]]] = []
-        for wave in waves([item for item in followed if reach in item[2]]):
-            best = min((fit.evaluation.chi_square for _, fit, _ in there), default=np.inf)
-            # Behind on the way is not behind in the end.
-            hopeless = BEHIND * best if reach == 1.0 else np.inf
-
-            def follow(
-                own: Experiment,
-                item: tuple[Entry, Solution, list[float]],
-                reach: float = reach,
-                hopeless: float = hopeless,
-            ) -> Solution | None:
-                problem = own.window(spacing, reach)
-                try:
-                    return fit_what_sets_in(problem, item[1].belief, hopeless=hopeless)
-                except SimulationError:
-                    return None
-
-            for (entry, _, plan), fit in zip(wave, side_by_side(experiment, follow, wave), strict=True):
-                if fit is None:
-                    continue
-                say(f"with {entry.effect}, {reach:.0%} of the frames: {fit.evaluation.misfit:.3f} sigma")
-                if fit.evaluation.chi_square <= hopeless:
-                    there.append((entry, fit, plan))
-        there.sort(key=lambda item: item[1].evaluation.chi_square)
-        if reach < 1.0:
-            there = [
-                item
-                for number, item in enumerate(there)
-                if number < FINISHED
-                or item[1].evaluation.chi_square < ALIKE * there[0][1].evaluation.chi_square
-            ]
-        followed = passing + there
-    reached = [(solution.evaluation.chi_square, entry, solution) for entry, solution, _ in followed]
-    return sorted(reached, key=lambda item: item[0])
 
 
 def _hopeless(experiment: Experiment, finished: Sequence[Refit], spacing: float) -> float:
