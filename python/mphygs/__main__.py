@@ -6,7 +6,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from mphygs.command import AT_FAULT, DONE
+from mphygs.command import AT_FAULT, DONE, INTERRUPTED
 
 COMMANDS = {
     "reconstruct": ("mphygs.reconstruct", "Gaussians of the object at rest, from its dense views"),
@@ -42,7 +42,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = f"unknown command '{arguments[0]}'" if arguments else "no command"
         sys.stderr.write(f"mphygs: {given}; expected one of {', '.join(COMMANDS)}\n")
         return AT_FAULT
-    module = importlib.import_module(COMMANDS[arguments[0]][0])
+    try:
+        module = importlib.import_module(COMMANDS[arguments[0]][0])
+    except KeyboardInterrupt:
+        # Loading takes seconds; nothing has begun.
+        sys.stderr.write(f"mphygs {arguments[0]}: interrupted\n")
+        return INTERRUPTED
     return module.main(arguments[1:])
 
 

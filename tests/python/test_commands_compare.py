@@ -138,3 +138,14 @@ def test_one_name_for_all_commands(viscous: Path, tmp_path: Path, capsys: pytest
     assert "unknown command 'guess'; expected one of reconstruct, segment, fit" in capsys.readouterr().err
     assert all_commands.main(["--help"]) == 0
     assert "discover" in capsys.readouterr().out
+
+
+def test_an_interrupt_while_a_command_loads_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_name: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(all_commands.importlib, "import_module", interrupted)
+    assert all_commands.main(["fit"]) == 130
+    assert capsys.readouterr().err == "mphygs fit: interrupted\n"
