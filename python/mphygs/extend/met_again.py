@@ -97,7 +97,9 @@ def followed(
         for share in before:
             anew = window(share, anew, ITERATIONS, far=True)
         for p in anew.parameters:
-            belief = belief.with_parameter(p.key, value=p.value, lower=p.lower, upper=p.upper)
+            belief = belief.with_parameter(
+                p.key, value=p.value, lower=p.lower, upper=p.upper, widest=p.widest
+            )
     except SimulationError:
         pass  # from what the coarser grid had
     belief = release_friction(window(since, belief, ITERATIONS // 2))
