@@ -133,7 +133,8 @@ def test_faults_end_in_one_line_and_2(viscous: Path, capture: Path, tmp_path: Pa
 
 def test_one_name_for_all_commands(viscous: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert all_commands.main(["compare", str(viscous), "--json", "--out", str(tmp_path)]) == 0
-    assert json.loads(capsys.readouterr().out)["adequate"] is True
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["adequate"] is True and answer["warnings"] == []
     assert all_commands.main(["guess"]) == 2
     assert "unknown command 'guess'; expected one of reconstruct, segment, fit" in capsys.readouterr().err
     assert all_commands.main(["--help"]) == 0

@@ -7,19 +7,21 @@ import pytest
 
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
-from mphygs.compare.roughness import doubted_sigma, jumps
+from mphygs.compare.roughness import doubted_sigma, jumps, opposed
 from mphygs.compare.seen import mean_seen
 from mphygs.compare.whitening import NoiseModel
 
 FRAMES, MARKERS, SIGMA = 80, 60, 1e-4
 
 
-def compared(noise: float, swing: float, *, missing: float = 0.0) -> dict[str, Compared]:
-    """White noise, and a swing of all markers at a tenth of the frame rate that the prediction lacks [m]."""
+def compared(
+    noise: float, swing: float, *, missing: float = 0.0, period: float = 10.0
+) -> dict[str, Compared]:
+    """White noise, and a swing of all markers, so many frames long, that the prediction lacks [m]."""
     draw = np.random.default_rng(5)
     times = np.arange(FRAMES)[:, None, None]
     position = noise * draw.standard_normal((FRAMES, MARKERS, 3))
-    position = position + swing * np.sqrt(2.0) * np.sin(0.2 * np.pi * times)
+    position = position + swing * np.sqrt(2.0) * np.sin(2.0 * np.pi / period * times)
     position[draw.random((FRAMES, MARKERS)) < missing] = np.nan
     item = Compared(
         Observation(position, NoiseModel.white(SIGMA, "as stated"), np.ones(MARKERS)),
@@ -45,6 +47,18 @@ def test_a_sigma_is_doubted_where_most_of_the_misfit_is_more_noise_than_it_says(
     assert doubted_sigma(compared(1e-4, 0.0)) == []
     # a misfit that goes on is physics, whatever the noise
     assert doubted_sigma(compared(3e-4, 1e-3)) == [] and doubted_sigma(compared(1e-4, 1e-3)) == []
+    # a fast one jumps as much as noise does, but goes on
+    fast = compared(1e-4, 1e-3, period=3.3)
+    assert jumps(fast["b"].observation.position) > 0.9 * 1e-3 and doubted_sigma(fast) == []
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.15])
+def test_differences_of_noise_are_opposed(missing: float) -> None:
+    noise = compared(1e-4, 0.0, missing=missing)["b"].observation.position
+    assert opposed(noise) == pytest.approx(-0.75, abs=0.02)
+    swing = compared(0.0, 1e-3, missing=missing, period=3.3)["b"].observation.position
+    assert opposed(swing) == pytest.approx(np.cos(2.0 * np.pi / 3.3), abs=0.03)
+    assert opposed(np.full((9, 2, 3), np.nan)) == 0.0
 
 
 def test_what_was_hardly_measured_says_nothing() -> None:

@@ -249,9 +249,11 @@ def test_a_window_that_the_first_fit_passed_is_not_fitted_again(
 
 def test_a_model_that_is_far_off_from_the_start_is_seen_from_softer_materials() -> None:
     costs = {3e4: 9.0, 1e5: 5.0, 3.2e5: 4.9, 1e6: 4.8, 3.2e6: 4.7}
+    asked: list[float] = []
 
     def evaluate(belief: Belief, *, jacobian: bool = True) -> Evaluation:
         young = belief[KEY].value
+        asked.append(young)
         misfit = next((sigma for near, sigma in costs.items() if abs(young / near - 1.0) < 0.1), None)
         if misfit is None:
             raise SimulationError("unstable")
@@ -274,6 +276,20 @@ def test_a_model_that_is_far_off_from_the_start_is_seen_from_softer_materials() 
     assert others(4.5) == pytest.approx([1e5, 10**5.5, 1e6])
     # Near enough, or an effect is in the model: what was fitted says something.
     assert others(3.9) == [] and others(4.5, usual.with_effect("viscosity")) == []
+    # Where a rest shape is solved for those softer than two that are far worse are not asked.
+    assert 1e4 in np.round(asked) and others(4.5) != []
+    asked.clear()
+    assert others(4.5, replace(usual, prestress="equilibrium")) == pytest.approx([1e5, 10**5.5, 1e6])
+    assert min(asked) == pytest.approx(1e4)
+
+
+@pytest.mark.parametrize("later", [0.52, 0.8])
+def test_what_sets_in_later_is_not_seen_from_afar(later: float, fits: list[float]) -> None:
+    experiment = Frames(sets_in(later))
+    share, solution = look(experiment)
+    # Far off on the frames after, for the frames before were fitted.
+    assert ratio(solution) > TRACTABLE and solution.reason == "seen from before"
+    assert window.at_other_scales(experiment, (share, solution), SPACING) == []
 
 
 def test_other_recordings_are_seen_from_the_model_of_the_simplest(fits: list[float]) -> None:

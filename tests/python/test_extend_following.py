@@ -105,7 +105,7 @@ def test_what_predicts_the_other_frames_is_followed(misfits: dict[str, float], b
     assert [entry.effect for _, entry, _ in front] == [name for name in misfits if name not in behind]
 
 
-def test_from_afar_places_are_fitted_where_they_may_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_from_afar_places_are_fitted_of_all_that_are_not_far_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     nowhere = plain_belief()
     there = nowhere.with_effect("tether", {"k": 1.0}, {"place": [0.0, 0.0, 0.01]})
     asked: list[Solution] = []
@@ -115,14 +115,14 @@ def test_from_afar_places_are_fitted_where_they_may_matter(monkeypatch: pytest.M
         asked.append(fit)
         if len(asked) == 2:
             raise SimulationError("unstable")
-        return solution_of(fit.belief, evaluation_of(100.0))
+        return solution_of(fit.belief, evaluation_of(50.0))
 
     monkeypatch.setattr(following, "relocated", relocated)
     experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
-    # The best, one that is followed anyway, two that are not, one without a place, one that is far off.
-    left = [(100.0, there), (134.0, there), (136.0, there), (140.0, there), (150.0, nowhere), (301.0, there)]
+    # The best, another one, one without a place, one at three times the best, one that is far behind.
+    left = [(100.0, there), (140.0, there), (150.0, nowhere), (300.0, there), (301.0, there)]
     begun = [(chi, entry_of("tether", 1e4), solution_of(belief, evaluation_of(chi))) for chi, belief in left]
     found = at_their_places(experiment, begun, 0.06, SPACING, lambda _text: None)
-    assert asked == [begun[2][2], begun[3][2]]
-    assert [chi for chi, _, _ in found] == [100.0, 134.0, 100.0, 140.0, 150.0, 301.0]
-    assert found[2][1] is begun[2][1] and found[2][2] is not begun[2][2]
+    assert [id(fit) for fit in asked] == [id(begun[k][2]) for k in (0, 1, 3)]
+    assert [chi for chi, _, _ in found] == pytest.approx([50.0, 140.0, 150.0, 50.0, 301.0])
+    assert found[3][1] is begun[3][1] and found[3][2] is not begun[3][2]

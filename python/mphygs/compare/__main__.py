@@ -67,9 +67,10 @@ def compare(options: CompareOptions, console: Console) -> Answer:
         document["sequences"] = joined(document["sequences"], drawn)
         document["films"] = [str(folder / f"{name}.mp4") for name in drawn]
     document["pictures"] = [str(path) for path in pictures]
+    document["warnings"] = doubted_sigma(compared)
     if options.capture is None and options.sequences is None:
         (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
-    return Answer(document, _text(document, doubted_sigma(compared)))
+    return Answer(document, _text(document))
 
 
 def comparison_document(
@@ -105,7 +106,7 @@ def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path)
     return paths
 
 
-def _text(document: Mapping[str, object], doubts: Sequence[str]) -> str:
+def _text(document: Mapping[str, object]) -> str:
     lines: list[str] = [errors_text(document["sequences"]), ""]
     if document.get("films"):
         lines += [table(image_table(document["sequences"])), ""]
@@ -115,7 +116,7 @@ def _text(document: Mapping[str, object], doubts: Sequence[str]) -> str:
     budget = document["budget"]
     shares = ", ".join(f"{name} {1e3 * share:.3f} mm" for name, share in budget.items())
     lines.append(f"Shares of it, adding in squares: {shares}.")
-    lines += [f"warning: {doubt}" for doubt in doubts]
+    lines += [f"warning: {text}" for text in document["warnings"]]
     if document["where"]:
         rows = [["part", "centre mm", "rms mm beyond noise"]]
         for entry in document["where"][:SHOWN]:

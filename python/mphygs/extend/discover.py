@@ -295,7 +295,7 @@ def discover(
             coarser = screening_spacing(experiment.capture)
             steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
         steps[-1] = narrowed(experiment, steps[-1], report)
-    return _conclude(steps, rankings, warnings)
+    return _conclude(steps, rankings, warnings, final=final)
 
 
 def _from_afar(
@@ -325,7 +325,10 @@ def _from_afar(
     return best
 
 
-def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -> Discovery:
+def _conclude(
+    steps: list[Step], rankings: list[Ranking], warnings: list[str], *, final: bool = True
+) -> Discovery:
+    """What the steps come to; final: with what is to be said of the last one."""
     last = steps[-1]
     added: list[str] = []
     for step in steps:
@@ -338,6 +341,8 @@ def _conclude(steps: list[Step], rankings: list[Ranking], warnings: list[str]) -
     else:
         verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
     told = [text for step in steps for text in step.warnings]
+    if not final:
+        return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))
     came = [
         f"{term.name}: acts since the first frame; the published shape does not bear it"
         for term in last.belief.terms

@@ -37,13 +37,13 @@ def at_their_places(
     spacing: float,
     say: Callable[[str], None],
 ) -> list[Begun]:
-    """The refits, those that would not be followed, and are not far from it, with their places fitted: where
-    other materials proposed them they may be far from their own."""
+    """The refits, those that are not far behind with their places fitted: where other materials proposed them
+    they may be far from their own."""
     best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
 
     def relocate(own: Experiment, item: Begun) -> Begun:
         chi_square, entry, fit = item
-        if not ALIKE * best <= chi_square <= BEHIND * best or not movable(fit.belief):
+        if chi_square > BEHIND * best or not movable(fit.belief):
             return item
         try:
             fit = relocated(own.window(spacing, share), fit, report=say)

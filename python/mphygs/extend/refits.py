@@ -102,6 +102,7 @@ def refits_of(
     # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     iterations = FIRST_AFAR if afar else FIRST_NEAR if near else FIRST
+    accuracy = ACCURACY_AFAR if afar else ACCURACY
     for wave in waves(promising(ranking)):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
         # From afar no first iteration says how far one leads, and a few frames cost little.
@@ -117,14 +118,14 @@ def refits_of(
                 share=window[0],
                 iterations=iterations,
                 hopeless=hopeless,
-                accuracy=ACCURACY_AFAR if afar else ACCURACY,
+                accuracy=accuracy,
                 report=say,
             )
 
         for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
             if solution is not None:
                 begun.append((solution.evaluation.chi_square, entry, solution))
-    begun = _with_limits(experiment, begun, ranking, window[0], spacing, say)
+    begun = _with_limits(experiment, begun, ranking, window[0], spacing, say, iterations, accuracy)
     if afar:
         begun = at_their_places(experiment, begun, window[0], spacing, say)
     begun.sort(key=lambda item: item[0])
@@ -161,6 +162,8 @@ def _with_limits(
     share: float,
     spacing: float,
     say: Callable[[str], None],
+    iterations: int = FIRST,
+    accuracy: float = ACCURACY,
 ) -> list[Begun]:
     """The refits, with a viscosity begun where a relaxation led that is over in a short time: alone it may be
     far from its strength yet."""
@@ -174,7 +177,7 @@ def _with_limits(
         return list(begun)
     try:
         problem = experiment.window(spacing, share)
-        fit = minimise(problem, start, iterations=FIRST, relative_tolerance=ACCURACY)
+        fit = minimise(problem, start, iterations=iterations, relative_tolerance=accuracy)
     except SimulationError:
         return list(begun)
     own = next((chi_square for chi_square, e, _ in begun if e is entry), np.inf)

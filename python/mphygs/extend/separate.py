@@ -61,8 +61,8 @@ def motions_to_record(
 
 def _without_last(before: Step, after: Step) -> Belief:
     """The belief of the step before with the numbers that the step after found for what they share."""
-    values = {p.key: p.value for p in after.belief.parameters}
-    parameters = tuple(replace(p, value=values.get(p.key, p.value)) for p in before.belief.parameters)
+    found = {p.key: p for p in after.belief.parameters}
+    parameters = tuple(p.found(found.get(p.key, p)) for p in before.belief.parameters)
     return replace(before.belief, parameters=parameters)
 
 

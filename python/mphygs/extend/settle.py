@@ -13,6 +13,7 @@ from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
 from mphygs.fit.side_by_side import side_by_side
+from mphygs.model.belief import Parameter
 
 # Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
 # many at most.
@@ -88,11 +89,13 @@ def _order(step: Step) -> tuple[int, float]:
 def _nearest(problem: Problem, rival: Step, best: Step) -> Step | None:
     """The rival with its own materials or with those that the best step found on its finer grid, whichever
     fit better; None where neither can be simulated."""
-    belief, found = rival.belief, {p.key: p.value for p in best.belief.parameters}
-    for p in rival.belief.parameters:
-        if p.free and p.key in found and p.key.split(".")[0] not in rival.added:
-            belief = belief.with_parameter(p.key, value=min(max(found[p.key], p.lower), p.upper))
-    nearest = closest(problem, (rival.belief, belief))
+    found = {p.key: p for p in best.belief.parameters}
+
+    def shared(p: Parameter) -> bool:
+        return p.free and p.key in found and p.key.split(".")[0] not in rival.added
+
+    parameters = tuple(p.found(found[p.key]) if shared(p) else p for p in rival.belief.parameters)
+    nearest = closest(problem, (rival.belief, replace(rival.belief, parameters=parameters)))
     return nearest and replace(rival, belief=nearest)
 
 

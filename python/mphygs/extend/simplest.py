@@ -13,6 +13,7 @@ from dataclasses import replace
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.schedule import CONTRAST
 from mphygs.model.belief import Belief
 
 
@@ -37,9 +38,13 @@ def among_all(experiment: Experiment, first: Belief, step: Step) -> Step:
     parameters = []
     for p in first.parameters:
         if p.free and p.key in found:
-            # what the other recordings alone can tell was fitted with a model that is now another one
-            usual = math.exp(p.prior_mean) if p.log else p.prior_mean
-            p = replace(p, value=found[p.key].value if found[p.key].free else usual)
+            if found[p.key].free:
+                p = p.found(found[p.key])
+            else:
+                # what the other recordings alone can tell was fitted with a model that is now another one
+                usual = math.exp(p.prior_mean) if p.log else p.prior_mean
+                wide = replace(p.widened(), value=usual)
+                p = wide if p.widest is None else wide.narrowed(CONTRAST)
         parameters.append(p)
     own = {parameter.key for parameter in first.parameters}
     parameters += [parameter for key, parameter in found.items() if key not in own]

@@ -62,7 +62,9 @@ def at_other_scales(experiment: Experiment, window: tuple[float, Solution], spac
     materials that would.
     """
     share, solution = window
-    if _ratio(solution.evaluation, experiment.whole) < TRACTABLE or solution.belief.terms:
+    if share > SHORTER[-1] or solution.belief.terms:
+        return []
+    if _ratio(solution.evaluation, experiment.whole) < TRACTABLE:
         return []
     problem, belief = experiment.window(spacing, share), forget(solution.belief)
     seen: list[tuple[float, Belief]] = []

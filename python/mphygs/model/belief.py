@@ -66,6 +66,14 @@ class Parameter:
             return self
         return replace(self, lower=self.widest[0], upper=self.widest[1], widest=None)
 
+    def found(self, other: Parameter) -> Parameter:
+        """This parameter where another fit found it: within that fit's bounds if those are about a scale of
+        its own, else as near as these bounds allow."""
+        p = self
+        if other.widest is not None:
+            p = replace(self, value=other.value, lower=other.lower, upper=other.upper, widest=other.widest)
+        return replace(p, value=float(min(max(other.value, p.lower), p.upper)))
+
     @property
     def at_bound(self) -> bool:
         """Whether the value stands at one of its bounds."""
