@@ -153,7 +153,6 @@ CASES: tuple[Case, ...] = (
     _elements("eigenstrain", "single", "eigenstrain:rate=0.03"),
     _elements("stiffening", "single", "stiffening"),
     _elements("late-gravity", "single", "gravity:delta_g_x=0.7:delta_g_y=-0.4:at_rest=false"),
-    _elements("viscosity", "single", "viscosity:eta=60"),
     _elements("fibre", "single", "fibre"),
     _elements("stiffness_gradient", "single", "stiffness_gradient:slope=9"),
     _elements("head-mass", "single", "attached_mass:m=2.5e-3:place=0.012/0/0.09:at_rest=false"),
