@@ -150,6 +150,12 @@ def test_a_wind_between_the_axes_is_scored_as_well(late: bool) -> None:
     # One axis alone needs no other, nor do flows of the other kind count.
     assert wind_between(belief, ways, tangents, tangents[:, 3], none, late=late) is None
     assert wind_between(belief, ways, tangents, residual, none, late=not late) is None
+    # Where ways were fitted that differ, opposite flows may do best together: what is left of them was tried.
+    apart = np.random.default_rng(2).standard_normal((60, 6))
+    none = np.zeros((60, 0))
+    opposite = apart @ np.array([3.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    assert wind_between(belief, ways, apart, opposite, none, late=late) is None
+    assert wind_between(belief, ways, apart, opposite + apart[:, 2], none, late=late) is not None
 
 
 def test_a_mass_between_is_late_as_those_around_it() -> None:

@@ -15,6 +15,8 @@ from mphygs.simulate.body import Body
 NEGLIGIBLE = 0.02
 # Of a cell: what is nearer to a place that was tried is that place.
 SAME_PLACE = 0.1
+# Cosine of the angle to a direction that was tried from which a wind blows in that direction.
+SAME_DIRECTION = 0.999
 
 
 def _together(columns: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray | None:
@@ -53,9 +55,12 @@ def wind_between(
     drags = _together(tangents[:, [k for k, _ in chosen]], residual, jacobian)
     if drags is None:
         return None
-    flow = drags @ np.array([direction for _, direction in chosen])
+    flows = np.array([flow for _, flow in chosen])
+    flow = drags @ flows
     length = float(np.linalg.norm(flow))
-    return wind_way(belief, flow / length, late=late) if length > 0.0 else None
+    if length == 0.0 or (flows @ flow / length / np.linalg.norm(flows, axis=1)).max() > SAME_DIRECTION:
+        return None  # opposite ones may leave a flow along an axis, which was tried
+    return wind_way(belief, flow / length, late=late)
 
 
 def mass_between(
