@@ -118,4 +118,5 @@ def ways_between(
     for late in (False, True):
         found.append(mass_between(belief, body, ways, *explained, late=late))
         found.append(wind_between(belief, ways, *explained, late=late))
-    return [way for way in found if way is not None]
+    known = {way.label for way in ways}
+    return [way for way in found if way is not None and way.label not in known]
