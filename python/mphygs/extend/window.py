@@ -11,17 +11,8 @@ from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import (
-    PATIENCE,
-    SCALES,
-    TRACTABLE,
-    about_its_scale,
-    find_scale,
-    forget,
-    stiffened,
-)
+from mphygs.fit.schedule import TRACTABLE, about_its_scale, at_scales, find_scale, forget
 from mphygs.model.belief import Belief
-from mphygs.simulate.errors import SimulationError
 
 # Diagnosis looks at the first frames over which the misfit is between this and TRACTABLE [sigma].
 VISIBLE = 1.25
@@ -67,22 +58,10 @@ def at_other_scales(experiment: Experiment, window: tuple[float, Solution], spac
     if _ratio(solution.evaluation, experiment.whole) < TRACTABLE:
         return []
     problem, belief = experiment.window(spacing, share), forget(solution.belief)
-    seen: list[tuple[float, Belief]] = []
-    least, worse = np.inf, 0
-    for scale in sorted(SCALES, reverse=True):
-        if worse >= PATIENCE and seen and belief.prestress == "equilibrium":
-            break  # softer ones take long to come to rest
-        trial = about_its_scale(stiffened(belief, scale))
-        worse += 1
-        try:
-            cost = problem.evaluate(trial, jacobian=False).cost
-        except SimulationError:
-            continue
-        seen.append((cost, trial))
-        least = min(least, cost)
-        if cost <= HARDLY_WORSE * least:
-            worse = 0
-    chosen = [trial for cost, trial in reversed(seen) if cost <= HARDLY_WORSE * least][:OTHERS]
+    seen = [(cost, trial) for _, cost, trial in at_scales(problem, belief, near=HARDLY_WORSE)]
+    least = min((cost for cost, _ in seen), default=np.inf)
+    softest = [trial for cost, trial in reversed(seen) if cost <= HARDLY_WORSE * least][:OTHERS]
+    chosen = [about_its_scale(trial) for trial in softest]
     evaluations = [problem.evaluate(trial) for trial in chosen]
     return [
         Solution(trial, evaluation, (evaluation.cost,), True, "at another scale")

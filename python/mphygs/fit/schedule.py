@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -172,22 +172,38 @@ def about_its_scale(belief: Belief) -> Belief:
     )
 
 
-def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
-    """Move all free Young's moduli together to the factor that fits the first frames best."""
-    best, best_cost, worse = None, np.inf, 0
+def at_scales(
+    problem: Problem, belief: Belief, *, near: float = 1.0
+) -> Iterator[tuple[float, float, Belief]]:
+    """Common factors on all free Young's moduli, from stiff to soft, with the cost and the belief there;
+    those that cannot be simulated left out.
+
+    near: cost over the least so far from which a factor counts as worse (see PATIENCE).
+    """
+    least, worse = np.inf, 0
     for scale in sorted(SCALES, reverse=True):
-        if best is not None and worse >= PATIENCE and belief.prestress == "equilibrium":
-            break
+        if np.isfinite(least) and worse >= PATIENCE and belief.prestress == "equilibrium":
+            return
         worse += 1
         trial = stiffened(belief, scale)
         try:
             cost = problem.evaluate(trial, jacobian=False).cost
         except SimulationError:
             continue
+        if cost < near * least:
+            worse = 0
+        least = min(least, cost)
+        yield scale, cost, trial
+
+
+def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
+    """Move all free Young's moduli together to the factor that fits the first frames best."""
+    best, best_cost = None, np.inf
+    for scale, cost, trial in at_scales(problem, belief):
         if report:
             report(f"scale {scale:.3g}: cost {cost:.4g}")
         if cost < best_cost:
-            best, best_cost, worse = trial, cost, 0
+            best, best_cost = trial, cost
     if best is None:
         raise SimulationError("no stiffness between 3 kPa and 3 MPa could be simulated from the start")
     return about_its_scale(best)
