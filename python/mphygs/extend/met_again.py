@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
@@ -96,10 +97,9 @@ def followed(
         anew = find_scale(experiment.window(spacing, before[0]), anew)
         for share in before:
             anew = window(share, anew, ITERATIONS, far=True)
-        for p in anew.parameters:
-            belief = belief.with_parameter(
-                p.key, value=p.value, lower=p.lower, upper=p.upper, widest=p.widest
-            )
+        found = {p.key: p for p in anew.parameters}
+        parameters = tuple(p.found(found.get(p.key, p)) for p in belief.parameters)
+        belief = replace(belief, parameters=parameters)
     except SimulationError:
         pass  # from what the coarser grid had
     belief = release_friction(window(since, belief, ITERATIONS // 2))

@@ -69,10 +69,9 @@ class Parameter:
     def found(self, other: Parameter) -> Parameter:
         """This parameter where another fit found it: within that fit's bounds if those are about a scale of
         its own, else as near as these bounds allow."""
-        p = self
         if other.widest is not None:
-            p = replace(self, value=other.value, lower=other.lower, upper=other.upper, widest=other.widest)
-        return replace(p, value=float(min(max(other.value, p.lower), p.upper)))
+            return replace(self, value=other.value, lower=other.lower, upper=other.upper, widest=other.widest)
+        return replace(self, value=float(min(max(other.value, self.lower), self.upper)))
 
     @property
     def at_bound(self) -> bool:
