@@ -118,5 +118,4 @@ def ways_between(
     for late in (False, True):
         found.append(mass_between(belief, body, ways, *explained, late=late))
         found.append(wind_between(belief, ways, *explained, late=late))
-    known = {way.label for way in ways}
-    return [way for way in found if way is not None and way.label not in known]
+    return [way for way in found if way is not None]
