@@ -141,6 +141,17 @@ def test_one_name_for_all_commands(viscous: Path, tmp_path: Path, capsys: pytest
     assert "discover" in capsys.readouterr().out
 
 
+def test_a_doubted_sigma_stands_in_the_text_and_the_json(
+    viscous: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "doubted_sigma", lambda compared: [f"{', '.join(compared)}: too small"])
+    assert command.main([str(viscous), "--out", str(tmp_path), "--json"]) == 0
+    (line,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert line.endswith(": too small")
+    assert command.main([str(viscous), "--out", str(tmp_path)]) == 0
+    assert f"warning: {line}" in capsys.readouterr().out
+
+
 def test_an_interrupt_while_a_command_loads_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

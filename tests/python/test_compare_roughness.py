@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
+from mphygs.compare.pictures import sequence_figure
 from mphygs.compare.roughness import doubted_sigma, jumps, opposed
 from mphygs.compare.seen import mean_seen
 from mphygs.compare.whitening import NoiseModel
@@ -67,6 +70,14 @@ def test_what_was_hardly_measured_says_nothing() -> None:
     assert jumps(item.observation.position) == 0.0 and doubted_sigma({"b": item}) == []
     item.observation.position[:] = np.nan
     assert doubted_sigma({"b": item}) == []
+
+
+def test_a_few_frames_are_pictured_without_a_word() -> None:
+    item = replace(compared(1e-4, 1e-3)["b"], fit=(0, 3), predict=(3, 3))
+    figure = sequence_figure(item, name="b", fps=60.0, at=np.zeros((MARKERS, 3)), parts=["part0"])
+    # No spectrum of three frames, and so no legend of it: matplotlib warns of an empty one.
+    (spectrum,) = [axes for axes in figure.axes if axes.get_title().startswith("spectrum")]
+    assert not spectrum.lines and spectrum.get_legend() is None
 
 
 def test_a_mean_of_nothing_is_nothing() -> None:

@@ -879,8 +879,21 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
         allowed.append((iterations, accuracy))
         return solution_of(before.belief, evaluation_of(chi_squares[entry.effect]))
 
+    placed: list[int] = []
+    limits: list[tuple[int, float]] = []
+
+    def at_their_places(_e: object, begun: list[tuple], *_: object) -> list[tuple]:
+        placed.append(len(begun))
+        return begun
+
+    def with_limits(_e: object, begun: list[tuple], *given: object) -> list[tuple]:
+        limits.append(given[-2:])
+        return begun
+
     monkeypatch.setattr(refits, "start_refit", start_refit)
     monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
+    monkeypatch.setattr(refits, "at_their_places", at_their_places)
+    monkeypatch.setattr(refits, "_with_limits", with_limits)
     first = 1.0, solution_of(plain_belief(), evaluation_of(2e4))
     ranking = ranking_of(*(entry_of(name, 1e4) for name in chi_squares))
     refits_of(
@@ -888,7 +901,8 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
     )
     assert bounds == ([np.inf] * 3 if afar else [np.inf, np.inf, refits.HOPELESS * 400.0])
     far, near = (refits.FIRST_AFAR, refits.ACCURACY_AFAR), (refits.FIRST, refits.ACCURACY)
-    assert allowed == [far if afar else near] * 3
+    assert allowed == [far if afar else near] * 3 and limits == allowed[:1]
+    assert placed == ([3] if afar else [])
 
 
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])

@@ -272,6 +272,24 @@ def test_a_gradient_s_axis_is_sought_among_those_of_its_part() -> None:
     assert alone.evaluation.chi_square > 1.5 * found.evaluation.chi_square
 
 
+def test_a_refit_that_is_begun_goes_on_to_the_accuracy_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, before, entry, _ = scene()
+    asked: list[float] = []
+
+    def counted(*given: object, relative_tolerance: float, **named: object) -> Solution:
+        asked.append(relative_tolerance)
+        return minimise(*given, relative_tolerance=relative_tolerance, **named)
+
+    monkeypatch.setattr(refit, "minimise", counted)
+    # The first iteration, those that bring much, the rest.
+    monkeypatch.setattr(refit, "FALLING", 1.0)
+    assert start_refit(experiment, before, entry, SPACING, iterations=2, hopeless=0.0, accuracy=1e-5)
+    alone = len(asked)
+    assert alone > 1 and set(asked) == {1e-5}
+    assert start_refit(experiment, before, entry, SPACING, iterations=3, accuracy=1e-5)
+    assert len(asked) > alone + 1 and set(asked) == {1e-5}
+
+
 def test_a_hopeless_refit_ends_once_it_hardly_falls(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(levenberg_marquardt, "SECANTS", 0)  # with them the first iteration is the last
     with monkeypatch.context() as patch:
