@@ -127,11 +127,11 @@ def test_a_gross_misfit_is_not_dwelt_on() -> None:
     whole = minimise(Lacking(), start(), **tight)
     assert len(whole.history) > 3
     left = whole.evaluation.misfit
-    ended = minimise(Lacking(), start(), gross=0.5 * left, dwell=1, **tight)
+    ended = minimise(Lacking(), start(), dwell=(1, 0.5 * left), **tight)
     assert ended.history == whole.history[:2] and not ended.converged and "gross" in ended.reason
     # What is no longer gross by then is fitted to its end.
     first = minimise(Lacking(), start(), iterations=1, **tight).evaluation.misfit
-    on = minimise(Lacking(), start(), gross=1.01 * first, dwell=1, **tight)
+    on = minimise(Lacking(), start(), dwell=(1, 1.01 * first), **tight)
     assert on.history == whole.history and on.converged
 
 

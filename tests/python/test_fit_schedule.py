@@ -85,9 +85,11 @@ def test_a_hopeless_fit_is_resumed_to_the_same_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where a stage leaves far too much, the next begins from the one before it; resumed, it does so too."""
-    bounds: list[tuple[float, int | None]] = []
+    bounds: list[tuple[float, tuple[int, float] | None]] = []
 
-    def minimise(*args: object, gross: float, dwell: int | None, **options: object) -> Solution:
+    def minimise(
+        *args: object, gross: float, dwell: tuple[int, float] | None, **options: object
+    ) -> Solution:
         bounds.append((gross, dwell))
         return levenberg_marquardt.minimise(*args, gross=gross, dwell=dwell, **options)
 
@@ -111,7 +113,8 @@ def test_a_hopeless_fit_is_resumed_to_the_same_numbers(
     whole = fit_run(run, experiment)
     assert len(whole.history) >= 3 and kept[-2].history[-1].misfit > schedule.HOPELESS
     # It is not dwelt on, unless it was the grid before that could not carry the model.
-    assert bounds[0] == (np.inf, None) and bounds[-1] == (schedule.HOPELESS, schedule.HOPELESS_ITERATIONS)
+    dwell = schedule.HOPELESS_ITERATIONS, schedule.HOPELESS
+    assert bounds[0] == (np.inf, None) and bounds[-1] == (np.inf, dwell)
     # It matters from where the last stage begins: without what came before it ends elsewhere.
     before_last = kept[-2]
     Run.save(before_last)

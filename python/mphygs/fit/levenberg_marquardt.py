@@ -265,7 +265,7 @@ def minimise(
     trials: int = 10,
     lender: Problem | None = None,
     gross: float = np.inf,
-    dwell: int | None = None,
+    dwell: tuple[int, float] | None = None,
     hopeless: float = np.inf,
     least: float = 0.0,
     to_end: bool = True,
@@ -278,11 +278,11 @@ def minimise(
     promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
     longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
     lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
-    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; dwell: iterations
-    after which it ends above that anyway; hopeless: chi^2 above which it ends after the first iteration,
-    without the Jacobian there; least: share of the cost that an iteration has to bring, else it is the last
-    one, without the Jacobian unless to_end; known: the evaluation of the starting belief, with its Jacobian,
-    where it is at hand.
+    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; dwell: iterations,
+    and the misfit [sigma] above which it ends after these; hopeless: chi^2 above which it ends after the
+    first iteration, without the Jacobian there; least: share of the cost that an iteration has to bring, else
+    it is the last one, without the Jacobian unless to_end; known: the evaluation of the starting belief, with
+    its Jacobian, where it is at hand.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     if lender is not None:
@@ -357,7 +357,7 @@ def minimise(
         if current.misfit > max(gross, HARDLY * before.misfit):
             reason = "gross, and hardly less by another iteration"
             break
-        if dwell is not None and iteration >= dwell and current.misfit > gross:
+        if dwell is not None and iteration >= dwell[0] and current.misfit > dwell[1]:
             reason = "gross after all iterations that it is worth"
             break
         if little:

@@ -282,11 +282,11 @@ def fit_belief(
             belief = find_scale(problem, belief, report)
 
         tell = told(report, f"{stage.name} ({1e3 * stage.spacing:.3g} mm)")
-        gross, dwell = stage.gross, None
+        dwell = None
         if earlier is not None and misfit > HOPELESS:
             # What it became is of no use on another grid; the model before it is, and as wrong unless it was
             # the grid that could not carry it.
-            belief, gross, dwell = earlier, min(gross, HOPELESS), HOPELESS_ITERATIONS
+            belief, dwell = earlier, (HOPELESS_ITERATIONS, HOPELESS)
         belief = simulable(problem, belief)
         if number and stage.spacing < plan[number - 1].spacing:
             belief = _brought_onward(problem, belief, misfit, tell)
@@ -296,7 +296,7 @@ def fit_belief(
             iterations=stage.iterations,
             report=tell,
             relative_tolerance=stage.accuracy,
-            gross=gross,
+            gross=stage.gross,
             dwell=dwell,
             least=stage.least,
         )
