@@ -11,20 +11,21 @@ from mphygs.fit.run import DOCUMENT, FORMAT
 from mphygs.image_stages import FOLDER
 
 # What other commands found with a run that stands there no more.
-STALE = ("diagnosis.json", "steps.json", "comparison.json", "report.html")
+STALE = ("diagnosis.json", "diagnosis-so-far.json", "steps.json", "comparison.json", "report.html")
 
 
-def claim(folder: Path, *, beside: Sequence[str] = ()) -> None:
+def claim(folder: Path, *, beside: Sequence[str] = (), alone: str | None = None) -> None:
     """Make sure that writing a run to a folder destroys nothing but an older run; nothing is changed.
 
-    beside: names of folders by which a run that was not finished is known as well. Raises OptionError.
+    beside: names of folders by which a run that was not finished is known as well; alone: of a file by which
+    it is where nothing else stands there. Raises OptionError.
     """
     if folder.exists() and not folder.is_dir():
         raise OptionError(f"--out {folder}: is a file; expected a folder")
     over = next((above for above in folder.parents if above.exists() and not above.is_dir()), None)
     if over is not None:
         raise OptionError(f"--out {folder}: {over} is a file; expected a folder")
-    if not folder.is_dir() or not any(folder.iterdir()):
+    if not folder.is_dir() or {item.name for item in folder.iterdir()} <= {alone}:
         return
     if (folder / DOCUMENT).is_file():
         known = _is_ours(folder / DOCUMENT)

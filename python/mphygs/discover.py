@@ -25,16 +25,9 @@ from mphygs.diagnose.missing_force_document import (
 from mphygs.diagnose.rank import Ranking
 from mphygs.extend.__main__ import DOCUMENT
 from mphygs.extend.discover import Discovery, discover
+from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
 from mphygs.extend.step import Step
-from mphygs.extend.steps import (
-    left_out_of,
-    restored,
-    run_at,
-    state_of,
-    step_at,
-    step_document,
-    steps_text,
-)
+from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.extend.window import passed_on_the_way
 from mphygs.fit.__main__ import RUNS, FitOptions, check_options, chosen_ranges, fitted
 from mphygs.fit.experiment import Experiment
@@ -126,10 +119,10 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     if kept.get("verdict"):
         answer = {key: kept[key] for key in ANSWER} | {"missing_force": kept.get("missing_force")}
         return Answer(answer, _text(answer, state.capture))
-    begun = replace(state, left_out=_left_out(kept))
+    begun = replace(state, left_out=kept_left_out(kept))
     experiment, belief = experiment_of(begun, workers=options.workers)
     spacing = state.settings.spacing
-    done = _Done(list(kept.get("steps", [])), list(kept.get("states", [])), kept.get("ranking"))
+    done = Kept.of(kept)
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
     if screening:
         steps[0] = replace(steps[0], halfway=_halfway(state))
@@ -171,30 +164,6 @@ def _halfway(state: Run) -> Belief | None:
     return passed_on_the_way(state.earlier, [stage.misfit for stage in state.history[:-2]])
 
 
-@dataclass
-class _Done:
-    """What a loop keeps of its steps; ranking: of the first diagnosis, as a document, once there is one."""
-
-    documents: list[dict]
-    states: list[dict]
-    ranking: list[dict] | None
-
-    def tell(self, step: Step, experiment: Experiment, at: int | None = None) -> None:
-        """Keep a step, the next one or in the place of another."""
-        at = len(self.documents) if at is None else at
-        before = self.documents[at - 1]["effects"] if at else ()
-        self.documents[at : at + 1] = [step_document(step, experiment, before)]
-        self.states[at : at + 1] = [state_of(step)]
-
-    def steps(self, experiment: Experiment) -> list[Step]:
-        """The steps as they were."""
-        before = [(), *(document["effects"] for document in self.documents)]
-        return [
-            restored(experiment, state, document, earlier)
-            for state, document, earlier in zip(self.states, self.documents, before, strict=False)
-        ]
-
-
 def _again(options: DiscoverOptions, out: Path) -> str:
     """The command line that goes on with a loop: with the options that change what comes of it."""
     given = {"effects": options.effects, "spacing": options.spacing, "plugin": options.plugin}
@@ -223,38 +192,15 @@ def _kept(out: Path) -> dict:
     """What the loop in a folder has found so far."""
     if not (out / FIRST).is_dir():
         raise OptionError(f"--resume: {out} holds no loop; expected the --out of an earlier {PROGRAM}")
-    path = out / DOCUMENT
-    if not path.is_file():
-        return {}
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise OptionError(f"{path}: is not JSON ({error}); expected the steps of {PROGRAM}") from error
-
-
-def _left_out(kept: Mapping) -> dict[str, tuple[tuple[int, int], ...]]:
-    return {
-        name: tuple((int(frame), int(marker)) for frame, marker in entries)
-        for name, entries in kept.get("left_out", {}).items()
-    }
+    return read_kept(out / DOCUMENT, PROGRAM)
 
 
 def _keep(
-    out: Path, done: _Done, experiment: Experiment, options: DiscoverOptions, answer: Mapping | None = None
+    out: Path, done: Kept, experiment: Experiment, options: DiscoverOptions, answer: Mapping | None = None
 ) -> None:
     """Write the steps so far; with the answer when the loop is done."""
-    document = {
-        "steps": done.documents,
-        "states": done.states,
-        "ranking": done.ranking,
-        "left_out": left_out_of(experiment),
-        "candidates": options.effects,
-    }
-    if answer is not None:
-        document |= answer
-    part = out / f".{DOCUMENT}"
-    part.write_text(json.dumps(plain(document), indent=1) + "\n")
-    part.replace(out / DOCUMENT)
+    document = done.document(experiment) | {"candidates": options.effects}
+    write_kept(out / DOCUMENT, plain(document | dict(answer or {})))
 
 
 def _conclude(
@@ -263,7 +209,7 @@ def _conclude(
     state: Run,
     experiment: Experiment,
     found: Discovery,
-    done: _Done,
+    done: Kept,
     console: Console,
 ) -> dict[str, object]:
     """Write the last model as a run, the first diagnosis beside it; the JSON of the command.

@@ -11,6 +11,7 @@ from mphygs import discover, predict
 from mphygs.compare import __main__ as compare
 from mphygs.diagnose import __main__ as diagnose
 from mphygs.extend import __main__ as extend
+from mphygs.extend import kept as kept_steps
 from mphygs.fit import __main__ as fit
 from mphygs.fit.run import load_run
 
@@ -89,6 +90,85 @@ def test_diagnose_names_what_is_missing(elastic: Path) -> None:
     assert (elastic / "run.json").read_bytes() == before
 
 
+@pytest.mark.parametrize("kept", [1, 2])
+def test_diagnose_goes_on_where_it_was_stopped(
+    kept: int, elastic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """kept: the number of steps that it had found."""
+    run = tmp_path / "a run"
+    shutil.copytree(elastic, run)
+    write = diagnose.write_kept
+
+    def broken_off(path: Path, document: dict) -> None:
+        write(path, document)
+        if len(document["steps"]) == kept:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(diagnose, "write_kept", broken_off)
+    code, out, err = call(diagnose.main, run, "--effects", CANDIDATES)
+    assert (code, out) == (130, "")
+    monkeypatch.undo()
+    if kept > 1:
+        line = f"continue with: mphygs diagnose '{run}' --effects {CANDIDATES} --resume"
+        assert line in err.splitlines()[-1]
+        # The first ranking is not made again.
+        monkeypatch.setattr("mphygs.extend.discover.rank", None)
+    code, _, err = call(diagnose.main, run, "--effects", "gravity", "--resume")
+    assert code == 2 and f"began with {CANDIDATES}" in err and err.count("\n") == 1
+    found = answer(diagnose.main, run, "--effects", CANDIDATES, "--resume")
+    monkeypatch.undo()
+    assert found == answer(diagnose.main, elastic, "--effects", CANDIDATES)
+    code, _, err = call(diagnose.main, run, "--effects", CANDIDATES, "--resume")
+    assert code == 2 and "no diagnosis that was stopped" in err
+
+
+def test_a_fit_takes_away_what_a_diagnosis_had_found(capture: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    fitted = (fit.main, capture, "--out", out, "--spacing", SPACING)
+    answer(*fitted)
+    (out / diagnose.SO_FAR).write_text("{}")
+    answer(*fitted)
+    assert not (out / diagnose.SO_FAR).exists()
+
+
+def test_extend_goes_on_where_it_was_stopped(
+    elastic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "two effects"
+    add = extend.add_named
+
+    def broken_off(*arguments: object, **options: object) -> tuple:
+        if arguments[2] == "gravity":
+            raise KeyboardInterrupt
+        return add(*arguments, **options)
+
+    monkeypatch.setattr(extend, "add_named", broken_off)
+    options = (elastic, "viscosity,gravity", "--out", out)
+    code, text, err = call(extend.main, *options)
+    assert (code, text) == (130, "")
+    again = f"mphygs extend {elastic} viscosity gravity --out '{out}' --resume"
+    assert f"continue with: {again}" in err.splitlines()[-1]
+    monkeypatch.undo()
+
+    def only_the_second(*arguments: object, **options: object) -> tuple:
+        assert arguments[2] == "gravity"
+        return add(*arguments, **options)
+
+    monkeypatch.setattr(extend, "add_named", only_the_second)
+    code, _, err = call(extend.main, elastic, "viscosity", "--out", out, "--resume")
+    assert code == 2 and "was to add viscosity, gravity" in err and err.count("\n") == 1
+    found = answer(extend.main, *options, "--resume")
+    assert answer(extend.main, *options, "--resume") == found
+    monkeypatch.undo()
+    # What was stopped is no obstacle to a new one in its place.
+    (out / "run.json").unlink()
+    (out / "numbers.safetensors").unlink(missing_ok=True)
+    whole = answer(extend.main, *options)
+    assert found == whole
+    code, _, err = call(extend.main, elastic, "viscosity", "--out", tmp_path / "other", "--resume")
+    assert code == 2 and "holds no step of mphygs extend" in err
+
+
 def test_diagnose_finds_the_force_where_no_name_explains(elastic: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     shutil.copytree(elastic, run)
@@ -126,7 +206,7 @@ def test_discover_runs_the_loop_and_resumes(
 ) -> None:
     """kept: whether it is stopped right after the step with the effect was kept, or right before."""
     options = ("--out", tmp_path / "loop", "--spacing", SPACING, "--effects", CANDIDATES)
-    whole = discover.step_document
+    whole = kept_steps.step_document
 
     def broken_off(step: object, *arguments: object) -> dict:
         if step.added:
@@ -136,7 +216,8 @@ def test_discover_runs_the_loop_and_resumes(
     def silent(_steps: object) -> list[str]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(discover, *(("steps_text", silent) if kept else ("step_document", broken_off)))
+    patch = (discover, "steps_text", silent) if kept else (kept_steps, "step_document", broken_off)
+    monkeypatch.setattr(*patch)
     code, out, err = call(discover.main, capture, *options)
     assert (code, out) == (130, "")
     last = err.splitlines()[-1]
@@ -243,9 +324,12 @@ def test_a_place_that_cannot_be_written_to_is_named(command: object, elastic: Pa
 
 
 def test_what_a_run_leaves_out_is_an_effect_of_what_it_is_extended_from(
-    elastic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    elastic: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(extend, "left_out_of", lambda _experiment: {"swing": ((0, 0),)})
-    found = answer(extend.main, elastic, "gravity", "--out", tmp_path / "more")
+    run = tmp_path / "run"
+    shutil.copytree(elastic, run)
+    document = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(document | {"left_out": {"swing": [[2, 0]]}}))
+    found = answer(extend.main, run, "gravity", "--out", tmp_path / "more")
     before, after = (step["effects"] for step in found["steps"])
     assert (before, after) == (["marker_outliers"], ["marker_outliers", "gravity"])

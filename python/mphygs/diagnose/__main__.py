@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,14 @@ from mphygs.diagnose.missing_force_document import (
 from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import Ranking, rank
 from mphygs.extend.discover import Discovery, discover
+from mphygs.extend.kept import (
+    Kept,
+    kept_left_out,
+    read_kept,
+    restored_ranking,
+    state_of_ranking,
+    write_kept,
+)
 from mphygs.extend.separate import motions_to_record
 from mphygs.extend.step import Step, excess
 from mphygs.extend.steps import step_at
@@ -37,6 +46,8 @@ from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs diagnose"
 DOCUMENT = "diagnosis.json"
+# What a diagnosis has found so far, in the run folder while it goes on.
+SO_FAR = "diagnosis-so-far.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +62,8 @@ class DiagnoseOptions(CommonOptions):
     """Find the missing force also where named effects explain the misfit."""
     workers: int | None = None
     """Simulations side by side; default: one a core. Changes no number."""
+    resume: bool = False
+    """Go on with the diagnosis of RUN where it was stopped."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -78,39 +91,86 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     candidates = known_effects(options.effects)
     check_effects(state.transfer, candidates or ())
-    experiment, belief = experiment_of(state, workers=options.workers)
+    so_far = state.folder / SO_FAR
+    kept = _so_far(so_far, options) if options.resume else {}
+    experiment, belief = experiment_of(
+        replace(state, left_out=kept_left_out(kept) or state.left_out), workers=options.workers
+    )
     spacing = state.settings.spacing
-    first = step_at(experiment, belief, spacing)
     # Many models are tried on a coarser grid, unless the run stands on one of the user's choice.
     usual = abs(spacing / default_spacing(experiment.capture) - 1.0) < 0.1
     trying = screening_spacing(experiment.capture) if usual else spacing
+    done, earlier = Kept.of(kept), [restored_ranking(told) for told in kept.get("rankings", [])]
+    steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
+
+    def keep(rankings: Sequence[Ranking]) -> None:
+        told = [state_of_ranking(ranking) for ranking in (*earlier, *rankings)]
+        document = done.document(experiment) | {"candidates": options.effects, "rankings": told}
+        write_kept(so_far, plain(document))
+
+    def on_step(step: Step, rankings: Sequence[Ranking]) -> None:
+        done.tell(step, experiment)
+        if rankings and done.ranking is None:
+            done.ranking = ranking_entries([step], rankings[0], experiment)
+        keep(rankings)
+
+    if not done.documents:
+        done.tell(steps[0], experiment, before=("marker_outliers",) if state.left_out else ())
+        keep(())
+    console.resume = _again(options)
     found = discover(
         experiment,
         belief,
         trying,
         seed=state.seed,
         names=candidates,
-        start=(first,),
+        start=steps,
         screening=usual,
         final=False,
         report=console.say,
+        on_step=on_step,
     )
-    if found.rankings:
-        ranking = found.rankings[0]
-    else:
-        ranking = _ranking(experiment, first, spacing, state.seed, candidates, console)
+    found = replace(found, rankings=(*earlier, *found.rankings))
+    entries = done.ranking
+    if entries is None:
+        if found.rankings:
+            ranking = found.rankings[0]
+        else:
+            ranking = _ranking(experiment, steps[0], spacing, state.seed, candidates, console)
+        entries = ranking_entries(found.steps, ranking, experiment)
     missing = None
     if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
         missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
     keep_missing_force(missing, state.folder)
     motions = motions_to_record(found, experiment, trying, report=console.say)
-    entries = ranking_entries(found.steps, ranking, experiment)
     document = diagnosis_document(found, entries, missing, motions)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
+    so_far.unlink()
     lines = diagnosis_text(plain(document))
     if missing is not None:
         lines += ["", *missing_force_text(document["missing_force"], state.capture, state.folder)]
     return Answer(document, "\n".join(lines))
+
+
+def _so_far(path: Path, options: DiagnoseOptions) -> dict:
+    """What the diagnosis that was stopped had found. Raises OptionError where there is none like it."""
+    kept = read_kept(path, PROGRAM)
+    if not kept:
+        raise OptionError(f"--resume: {path.parent} has no diagnosis that was stopped; expected one")
+    if kept["candidates"] != options.effects:
+        raise OptionError(
+            f"--effects: got {options.effects or 'every known one'}, but the diagnosis of {path.parent} "
+            f"began with {kept['candidates'] or 'every known one'}; expected the same to resume"
+        )
+    return kept
+
+
+def _again(options: DiagnoseOptions) -> str:
+    """The command line that goes on with a diagnosis."""
+    words = [PROGRAM, shlex.quote(str(options.run))]
+    if options.effects is not None:
+        words += ["--effects", shlex.quote(options.effects)]
+    return " ".join([*words, *(["--force"] if options.force else []), "--resume"])
 
 
 def _ranking(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,9 @@ import tyro
 
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
+from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
 from mphygs.extend.named import add_named
-from mphygs.extend.steps import left_out_of, run_at, step_at, step_document, steps_text
+from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of
@@ -24,6 +24,7 @@ from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs extend"
 DOCUMENT = "steps.json"
+ANSWER = ("steps", "verdict", "effects", "run")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +39,8 @@ class ExtendOptions(CommonOptions):
     """Run folder of the extended model; default: RUN-EFFECT beside RUN."""
     workers: int | None = None
     """Simulations side by side; default: one a core. Changes no number."""
+    resume: bool = False
+    """Go on in --out where it stopped."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -56,31 +59,50 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
         raise OptionError("no effect named; expected at least one to add")
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
+    for number, name in enumerate(wanted):
+        if name in state.belief.effects or name in wanted[:number]:
+            raise OptionError(f"effect '{name}' is in the model already; expected another one")
     source = options.run.resolve()
     out = options.out or options.run.parent / "-".join([source.name, *wanted])
     check_effects(state.transfer, wanted)
     if out.resolve() == source:
         raise OptionError(f"--out {out}: is the run that is extended; expected another folder")
-    claim(out)
-    experiment, belief = experiment_of(state, workers=options.workers)
+    kept = _kept(out, wanted) if options.resume else {}
+    if not options.resume:
+        claim(out, alone=DOCUMENT)
+    again = [PROGRAM, shlex.quote(str(options.run)), *wanted, "--out", shlex.quote(str(out)), "--resume"]
+    if kept.get("verdict"):
+        answer = {key: kept[key] for key in ANSWER}
+        return Answer(answer, _text(answer, wanted))
+    experiment, belief = experiment_of(
+        replace(state, left_out=kept_left_out(kept) or state.left_out), workers=options.workers
+    )
     spacing = state.settings.spacing
-    steps = [step_at(experiment, belief, spacing)]
-    # What the run leaves out of the measurements is an effect of it, though no term of the model.
-    before = ("marker_outliers",) if left_out_of(experiment) else ()
-    documents = [step_document(steps[0], experiment, before)]
-    pays = []
+    done = Kept.of(kept)
+    steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
+    if not done.documents:
+        # What the run leaves out of the measurements is an effect of it, though no term of the model.
+        done.tell(steps[0], experiment, before=("marker_outliers",) if state.left_out else ())
     for number, name in enumerate(wanted):
+        if number + 1 < len(steps):
+            continue
         console.progress(number / len(wanted), f"adding {name}")
         generator = np.random.default_rng((state.seed, number))
         step, paying = add_named(
             experiment, steps[-1], name, spacing, generator=generator, report=console.say
         )
         steps.append(step)
-        pays.append(paying)
-        documents.append(step_document(step, experiment, documents[-1]["effects"]) | {"pays": paying})
-    paying = [name for name, good in zip(wanted, pays, strict=True) if good]
+        done.tell(step, experiment, more={"pays": paying})
+        if not number:
+            # Only now: nothing that is at fault may take an older run's results away.
+            out.mkdir(parents=True, exist_ok=True)
+            clear(out, ("run.json",))
+        write_kept(out / DOCUMENT, plain(done.document(experiment) | {"asked": wanted}))
+        console.resume = " ".join(again)
+    documents = done.documents
+    paying = [name for name, told in zip(wanted, documents[1:], strict=True) if told["pays"]]
     physics = [name for name in paying if effect(name).kind != "measurement"]
-    if steps[0].assessment.adequate:
+    if documents[0]["adequate"]:
         verdict = "adequate"
     elif not steps[-1].explained:
         verdict = "unknown"
@@ -90,13 +112,30 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
     extended = run_at(state, out, steps[-1], experiment, options=given, answer=document)
-    clear(out)
     extended.save()
-    (out / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
-    lines = steps_text(plain(documents))
-    lines += [f"{name} does not pay on unseen frames" for name in wanted if name not in paying]
+    write_kept(out / DOCUMENT, plain(document | {"asked": wanted}))
+    return Answer(document, _text(document, wanted))
+
+
+def _kept(out: Path, wanted: Sequence[str]) -> dict:
+    """What was found before it was stopped. Raises OptionError where nothing is kept of these effects."""
+    kept = read_kept(out / DOCUMENT, PROGRAM)
+    if not kept.get("asked"):
+        raise OptionError(f"--resume: {out} holds no step of {PROGRAM}; expected the --out of one")
+    if kept["asked"] != list(wanted):
+        raise OptionError(
+            f"got {', '.join(wanted)}, but {out} was to add {', '.join(kept['asked'])}; "
+            "expected the same to resume"
+        )
+    return kept
+
+
+def _text(answer: Mapping, wanted: Sequence[str]) -> str:
+    out = answer["run"]
+    lines = steps_text(plain(answer["steps"]))
+    lines += [f"{name} does not pay on unseen frames" for name in wanted if name not in answer["effects"]]
     lines += ["", f"run folder: {out}", f"next: mphygs compare {shlex.quote(str(out))}"]
-    return Answer(document, "\n".join(lines))
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,119 @@
+"""What a loop has found so far: one JSON file, written whenever a step is done, to go on from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mphygs.diagnose.rank import Entry, Ranking
+from mphygs.extend.step import Step
+from mphygs.extend.steps import left_out_of, restored, state_of, step_document
+from mphygs.fit.belief_document import belief_from_document, document_of_belief
+from mphygs.fit.experiment import Experiment
+
+
+@dataclass
+class Kept:
+    """The steps of a loop. documents: as they are told; states: what else it takes to make them again;
+    ranking: of the first diagnosis, as a document, once there is one."""
+
+    documents: list[dict] = field(default_factory=list)
+    states: list[dict] = field(default_factory=list)
+    ranking: list[dict] | None = None
+
+    @classmethod
+    def of(cls, document: Mapping) -> Kept:
+        """As `document` told it; nothing of an empty one."""
+        return cls(
+            list(document.get("steps", [])), list(document.get("states", [])), document.get("ranking")
+        )
+
+    def tell(
+        self,
+        step: Step,
+        experiment: Experiment,
+        at: int | None = None,
+        *,
+        before: Sequence[str] = (),
+        more: Mapping[str, object] | None = None,
+    ) -> None:
+        """Keep a step, the next one or in the place of another. before: effects before the first step; more:
+        what else is told of it."""
+        at = len(self.documents) if at is None else at
+        inside = self.documents[at - 1]["effects"] if at else before
+        self.documents[at : at + 1] = [step_document(step, experiment, inside) | dict(more or {})]
+        self.states[at : at + 1] = [state_of(step)]
+
+    def steps(self, experiment: Experiment) -> list[Step]:
+        """The steps as they were."""
+        before = [(), *(document["effects"] for document in self.documents)]
+        return [
+            restored(experiment, state, document, earlier)
+            for state, document, earlier in zip(self.states, self.documents, before, strict=False)
+        ]
+
+    def document(self, experiment: Experiment) -> dict[str, object]:
+        """The JSON to go on from, with the measurements that are left out."""
+        return {
+            "steps": self.documents,
+            "states": self.states,
+            "ranking": self.ranking,
+            "left_out": left_out_of(experiment),
+        }
+
+
+def write_kept(path: Path, document: Mapping[str, object]) -> None:
+    """Write JSON in one go: a command that is stopped leaves the old file or the new one."""
+    part = path.parent / f".{path.name}"
+    part.write_text(json.dumps(document, indent=1) + "\n")
+    part.replace(path)
+
+
+def read_kept(path: Path, program: str) -> dict:
+    """What is kept in a file, nothing where there is none. Raises ValueError for one that is no JSON."""
+    if not path.is_file():
+        return {}
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}: is not JSON ({error}); expected the steps of {program}") from error
+
+
+def kept_left_out(kept: Mapping) -> dict[str, tuple[tuple[int, int], ...]]:
+    """(frame, marker) by sequence of the measurements that a loop had left out."""
+    return {
+        name: tuple((int(frame), int(marker)) for frame, marker in entries)
+        for name, entries in kept.get("left_out", {}).items()
+    }
+
+
+def state_of_ranking(ranking: Ranking) -> dict[str, object]:
+    """What a diagnosis that is resumed has to know of a ranking: the ways in which effects were best."""
+    return {
+        "chi_square": ranking.chi_square,
+        "rows": ranking.rows,
+        "entries": [
+            {
+                "effect": entry.effect,
+                "label": entry.label,
+                "kind": entry.kind,
+                "statistic": entry.statistic,
+                "p_value": entry.p_value,
+                "expected_ratio": entry.expected_ratio,
+                "estimate": dict(entry.estimate),
+                "std": dict(entry.std),
+                "start": document_of_belief(entry.start),
+            }
+            for entry in ranking.entries
+        ],
+    }
+
+
+def restored_ranking(state: Mapping) -> Ranking:
+    """The ranking of a state, as far as that tells it."""
+    entries = [
+        Entry(**(given | {"start": belief_from_document(given["start"])})) for given in state["entries"]
+    ]
+    return Ranking(tuple(entries), state["chi_square"], state["rows"], None)
