@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mphygs.capture.format import load_capture
+from mphygs.synth import finite_element
 from mphygs.synth.brick_mesh import brick_mesh
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.finite_element_stress import MaterialStress
@@ -29,6 +31,7 @@ COMPARED = (
     "relaxation:ratio=1",
     "stiffness_gradient",
     "base_motion:a_y=5:f=3",
+    "contact:mu=0.1",
 )
 
 
@@ -216,6 +219,25 @@ def test_both_simulators_move_a_flower_that_carries_its_weight(tmp_path) -> None
     moved, apart = np.abs(found[0] - found[0][0]).max(), np.abs(found[0] - found[1]).max()
     assert moved > 5e-3
     assert 1e-6 < apart < 0.06 * moved
+
+
+def test_a_node_on_a_wall_sticks_up_to_mu_times_what_presses_on_it() -> None:
+    body = object.__new__(finite_element._Body)
+    wall = {"d": 0.0, "n_x": 0.0, "n_y": 0.0, "n_z": 1.0, "mu": 0.5, "stiffness": 1e6}
+    body.effects, body.mass = {"contact": wall}, np.full(4, 1e-3)
+    body.mesh = SimpleNamespace(surface_area=np.full(4, 1e-4))
+    x = np.array([[0.0, 0, -1e-4], [0, 0, -1e-4], [0, 0, -1e-4], [0, 0, 1e-4]])
+    assert body._pressing(x, np.array([0.0, 0, 1])).ravel() == pytest.approx([0.01, 0.01, 0.01, 0.0])
+    force = np.array([[0.002, 0, 0.03], [0.003, 0.02, 0.0], [0, 0, 0], [0.002, 0, 0]])
+    v, dt = np.zeros((4, 3)), 1e-4
+    v[2] = [0.0, -1e-4, 5.0]
+    found = body._friction(x, v, force, dt)
+    # Held; slides; stopped from a slow slip; nowhere near.
+    assert found[0] == pytest.approx([-0.002, 0.0, 0.0])
+    assert np.linalg.norm(found[1]) == pytest.approx(0.005)
+    assert np.cross(found[1], force[1]) == pytest.approx([0.0, 0.0, 0.0], abs=1e-12) and found[1, 1] < 0.0
+    assert found[2] == pytest.approx([0.0, 1e-4 * 1e-3 / dt, 0.0])
+    assert found[3] == pytest.approx([0.0, 0.0, 0.0])
 
 
 def test_what_it_does_not_know_is_refused(tmp_path) -> None:

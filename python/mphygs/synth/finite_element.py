@@ -236,11 +236,7 @@ class _Body:
         if "contact" in effects:
             values = effects["contact"]
             normal = np.array([values[f"n_{a}"] for a in "xyz"])
-            depth = np.maximum(values["d"] - x @ normal, 0.0)[:, None]
-            pressing = self._contact_stiffness() * area * depth
-            slip = v - (v @ normal)[:, None] * normal
-            speed = np.sqrt((slip**2).sum(1, keepdims=True) + 1e-6)
-            force = force + pressing * normal - values["mu"] * pressing * slip / speed
+            force = force + self._pressing(x, normal) * normal
         if "tether" in effects:
             values, at = effects["tether"], self.places["tether"]
             anchor = np.array([values[f"anchor_{a}"] for a in "xyz"])
@@ -251,7 +247,10 @@ class _Body:
         self, u: np.ndarray, v: np.ndarray, time: float, dt: float, driven: np.ndarray
     ) -> np.ndarray:
         """(N, 3) [m/s^2]; driven: (H, 3) of the nodes in the hold."""
-        force = self._inside(u, v, time, dt) + self._outside(self.mesh.nodes + u, v, time, self.effects)
+        x = self.mesh.nodes + u
+        force = self._inside(u, v, time, dt) + self._outside(x, v, time, self.effects)
+        if "contact" in self.effects:
+            force = force + self._friction(x, v, force, dt)
         result = force / self.mass[:, None]
         result[self.held] = driven
         if "attached_mass" in self.effects:
@@ -263,6 +262,23 @@ class _Body:
             pull = self._body_field(n @ v, time, self.effects) - n @ result
             result += np.outer(share, mass * pull / (1.0 + mass * (n @ share)))
         return result
+
+    def _pressing(self, x: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """(N, 1) [N] with which the wall presses on every node."""
+        depth = np.maximum(self.effects["contact"]["d"] - x @ normal, 0.0)[:, None]
+        return self._contact_stiffness() * self.mesh.surface_area[:, None] * depth
+
+    def _friction(self, x: np.ndarray, v: np.ndarray, force: np.ndarray, dt: float) -> np.ndarray:
+        """(N, 3) [N] by Coulomb: what would stop the slip of a node within this step, mu times what presses
+        on it at most."""
+        values = self.effects["contact"]
+        normal = np.array([values[f"n_{a}"] for a in "xyz"])
+        mass = self.mass[:, None]
+        going = v + dt * force / mass
+        slip = going - (going @ normal)[:, None] * normal
+        speed = np.linalg.norm(slip, axis=1, keepdims=True)
+        most = np.minimum(values["mu"] * self._pressing(x, normal), mass * speed / dt)
+        return -most * slip / np.where(speed > 0.0, speed, 1.0)
 
     def _body_field(self, v: np.ndarray, time: float, effects: Mapping[str, Values]) -> np.ndarray:
         """Acceleration [m/s^2] by weight and body effects at points of velocity v, (3,) or (N, 3) [m/s]."""
