@@ -178,9 +178,9 @@ TEST_P(Gradient, TangentAgreesWithCentralDifferences) {
     for (std::size_t i = 0; i < all.size(); ++i) {
         const auto at = [&](double step) { return b.model->simulate(moved(b.fields, all[i].fields, step), b.schedule); };
         // Displacement and velocity, each as a whole. A wide difference may straddle a kink (contact,
-        // yield) and a narrow one drowns in round-off: the best of four counts.
+        // yield) and a narrow one drowns in round-off: the best of three counts.
         double best[2] = {std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
-        for (const double h : {2e-2, 3e-3, 1e-4, 3e-6}) {
+        for (const double h : {3e-3, 1e-4, 3e-6}) {
             const Trajectory<double> p = at(-2 * h), q = at(-h), r = at(h), s = at(2 * h);
             for (const int kind : {0, 1}) {
                 const auto member = kind == 0 ? &Trajectory<double>::displacement : &Trajectory<double>::velocity;

@@ -176,7 +176,7 @@ def test_runs_from_shortly_before_the_misfit_are_those_from_the_start(rest: str)
     assert runs.chi_square(None) == pytest.approx(evaluation.chi_square)
     # A wall that nothing reaches changes nothing, but for shorter substeps.
     far = runs.chi_square(Plane(NORMAL, -1.0))
-    assert far == pytest.approx(evaluation.chi_square, rel=1e-2)
+    assert far == pytest.approx(evaluation.chi_square, rel=5e-3)
     whole = problem.evaluate(with_wall(belief, WALL), jacobian=False).chi_square
     assert whole < 0.1 * evaluation.chi_square
     assert runs.chi_square(WALL) == pytest.approx(whole, rel=0.2)
@@ -258,11 +258,10 @@ def test_a_model_with_a_wall_gets_no_other() -> None:
 
 def test_walls_that_do_not_help_are_not_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     capture, belief = falling_bar()
-    # The measured bar is stiffer: it stays behind the prediction, and no wall explains all of that.
+    # The measured bar is stiffer: it stays behind the prediction, and no wall explains how.
     stiff = belief.with_parameter("part0.youngs_modulus", value=2.1e4)
     problem, observation, belief, evaluation = case_of(seen(capture, stiff, SPACING), belief)
     monkeypatch.setattr(contact_search, "minimize", lambda *_a, **_k: pytest.fail("a plane was moved"))
-    monkeypatch.setattr(contact_search, "HELPS", 1e-3)
     planes = search(problem, observation, belief, evaluation)
     assert len(planes) == 1
     assert planes[0].chi_square > contact_search.HELPS * evaluation.chi_square

@@ -28,44 +28,6 @@ def test_a_box_alone_is_exposed_all_over() -> None:
             np.testing.assert_allclose(middle, expected, atol=1e-12)
 
 
-def test_the_corners_of_a_box_are_among_its_points() -> None:
-    part = box([0.0, 0.0, 0.0], [0.02, 0.03, 0.01])
-    samples = exposed_surface([part], max_edge=0.004)
-    points = samples.at_corners(0.001)
-    assert points.area.sum() == pytest.approx(samples.area.sum(), rel=1e-12)
-    wanted = np.array(np.meshgrid([0.0, 0.02], [0.0, 0.03], [0.0, 0.01])).reshape(3, -1).T
-    distance = cKDTree(points.points).query(wanted)[0]
-    np.testing.assert_allclose(distance, 0.0, atol=1e-12)
-    assert cKDTree(samples.points).query(wanted)[0].min() > 5e-4
-    # A corner's share of three faces points along its diagonal outward.
-    corner = np.argmin(np.linalg.norm(points.points - wanted[-1], axis=1))
-    assert points.normal[corner].min() > 0.2 and points.area[corner] < 3 * 0.004**2
-
-
-def test_of_points_close_together_the_one_that_stands_out_is_kept() -> None:
-    mesh = turned(trimesh.creation.icosphere(subdivisions=3, radius=0.02))
-    samples = exposed_surface([solid(mesh)], max_edge=0.0005)
-    points = samples.at_corners(0.002)
-    assert len(points.area) < 0.4 * len(samples.area)
-    assert points.area.sum() == pytest.approx(mesh.area, rel=1e-12)
-    middle = mesh.vertices.mean(0)
-    out = points.points - middle
-    assert np.einsum("si,si->s", points.normal, out / 0.02).min() > 0.95
-    # Where triangles meet the surface is the sphere, in their middles it is not.
-    np.testing.assert_allclose(np.linalg.norm(out, axis=1).max(), 0.02, rtol=1e-9)
-    assert np.linalg.norm(samples.points - middle, axis=1).max() < 0.02 - 1e-6
-
-
-def test_points_have_corners_of_their_triangles_or_say_so() -> None:
-    samples = exposed_surface([box([0.0, 0.0, 0.0], [0.02, 0.03, 0.01])], max_edge=0.004)
-    np.testing.assert_allclose(samples.corners.mean(1), samples.points, atol=1e-15)
-    edges = samples.corners[:, 1:] - samples.corners[:, :1]
-    twice = np.cross(edges[:, 0], edges[:, 1])
-    np.testing.assert_allclose(twice, 2.0 * samples.area[:, None] * samples.normal, atol=1e-15)
-    with pytest.raises(ValueError, match="corners: None"):
-        samples.at_corners(0.001).at_corners(0.001)
-
-
 def test_normals_point_outward_and_close() -> None:
     mesh = turned(trimesh.creation.icosphere(subdivisions=3, radius=0.02))
     samples = exposed_surface([solid(mesh)], max_edge=0.001)

@@ -31,7 +31,6 @@ COMPARED = (
     "relaxation:ratio=1",
     "stiffness_gradient",
     "base_motion:a_y=5:f=3",
-    "contact:mu=0.1",
 )
 
 

@@ -22,40 +22,13 @@ _REACH = 1e-3
 class SurfaceSamples:
     """Points that each stand for a piece of surface.
 
-    points: (S, 3) [m]; area: (S,) [m^2]; normal: (S, 3), unit, outward; part: (S,) int; corners: (S, 3, 3)
-    of the triangles that they stand for [m], None where they are no middles of triangles.
+    points: (S, 3) [m]; area: (S,) [m^2]; normal: (S, 3), unit, outward; part: (S,) int.
     """
 
     points: np.ndarray
     area: np.ndarray
     normal: np.ndarray
     part: np.ndarray
-    corners: np.ndarray | None = None
-
-    def at_corners(self, apart: float) -> SurfaceSamples:
-        """The surface as points where its triangles meet, edges and tips of the object among them.
-
-        apart: of points in one cube of this edge only the one that stands out farthest is kept, with the
-        area of all [m].
-        """
-        if self.corners is None:
-            raise ValueError("corners: None, expected those of the triangles that the samples stand for")
-        points, part = self.corners.reshape(-1, 3), np.repeat(self.part, 3)
-        area = np.repeat(self.area / 3.0, 3)
-        outward = np.repeat(self.normal * self.area[:, None] / 3.0, 3, axis=0)
-        cube = np.concatenate([part[:, None], np.floor(points / apart).astype(np.int64)], axis=1)
-        _, cube = np.unique(cube, axis=0, return_inverse=True)
-        cube, count = cube.ravel(), int(cube.max(initial=-1)) + 1
-        total = np.stack([np.bincount(cube, outward[:, c], count) for c in range(3)], axis=1)
-        order = np.lexsort((-(points * total[cube]).sum(1), cube))
-        first = order[np.unique(cube[order], return_index=True)[1]]
-        length = np.linalg.norm(total, axis=1, keepdims=True)
-        return SurfaceSamples(
-            points[first],
-            np.bincount(cube, area, count),
-            total / np.where(length > 0.0, length, 1.0),
-            part[first],
-        )
 
 
 def exposed_surface(
@@ -85,8 +58,7 @@ def exposed_surface(
         triangles = part.vertices[part.faces]
         for box in [*boxes, *(bounds[other] for other in near)]:
             triangles = _cut_by_box(triangles, box, reach)
-        corners, area, normal = _divide(triangles, max_edge)
-        points = corners.mean(axis=1)
+        points, area, normal = _divide(triangles, max_edge)
         kept = np.ones(len(points), dtype=bool)
         for box in boxes:
             material = points - reach * normal
@@ -96,12 +68,9 @@ def exposed_surface(
             close = np.all((points >= low) & (points <= high), axis=1)
             asked = np.flatnonzero(kept & close)
             kept[asked] = ~_touches(parts[other], points[asked], normal[asked], reach)
-        mine = np.full(int(kept.sum()), number)
-        pieces.append((points[kept], area[kept], normal[kept], mine, corners[kept]))
+        pieces.append((points[kept], area[kept], normal[kept], np.full(int(kept.sum()), number)))
     if not pieces:
-        return SurfaceSamples(
-            np.empty((0, 3)), np.empty(0), np.empty((0, 3)), np.empty(0, np.int64), np.empty((0, 3, 3))
-        )
+        return SurfaceSamples(np.empty((0, 3)), np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int64))
     return SurfaceSamples(*(np.concatenate(values) for values in zip(*pieces, strict=True)))
 
 
@@ -156,7 +125,7 @@ def _cut_by_plane(triangles: np.ndarray, axis: int, coordinate: float, tolerance
 
 
 def _divide(triangles: np.ndarray, max_edge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners, area and normal of n^2 equal pieces of each triangle, none larger than max_edge^2."""
+    """Centroid, area and normal of n^2 equal pieces of each triangle, none larger than max_edge^2."""
     first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     cross = np.cross(first, second)
     double = np.linalg.norm(cross, axis=1)
@@ -165,22 +134,22 @@ def _divide(triangles: np.ndarray, max_edge: float) -> tuple[np.ndarray, np.ndar
         values[real] for values in (triangles, first, second, cross, double)
     )
     count = np.maximum(np.ceil(np.sqrt(0.5 * double) / max_edge - 1e-9), 1).astype(np.int64)
-    corners, area, normal = [np.empty((0, 3, 3))], [np.empty(0)], [np.empty((0, 3))]
+    points, area, normal = [np.empty((0, 3))], [np.empty(0)], [np.empty((0, 3))]
     for n in np.unique(count):
         row = np.flatnonzero(count == n)
-        u, v = _corners(int(n))
-        start = triangles[row, 0][:, None, None]
-        place = start + u[..., None] * first[row][:, None, None] + v[..., None] * second[row][:, None, None]
-        corners.append(place.reshape(-1, 3, 3))
+        u, v = _centroids(int(n))
+        start = triangles[row, 0][:, None]
+        place = start + u[:, None] * first[row][:, None] + v[:, None] * second[row][:, None]
+        points.append(place.reshape(-1, 3))
         area.append(np.repeat(0.5 * double[row] / n**2, n**2))
         normal.append(np.repeat(cross[row] / double[row][:, None], n**2, axis=0))
-    return np.concatenate(corners), np.concatenate(area), np.concatenate(normal)
+    return np.concatenate(points), np.concatenate(area), np.concatenate(normal)
 
 
-def _corners(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of the two edges, (n^2, 3) each, at the corners of the n^2 equal pieces of a triangle."""
+def _centroids(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of the two edges at the centroids of the n^2 equal pieces of a triangle."""
     i, j = (values.ravel() for values in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
     upright, inverted = i + j < n, i + j < n - 1
-    u = [i[upright, None] + np.array([0, 1, 0]), i[inverted, None] + np.array([1, 1, 0])]
-    v = [j[upright, None] + np.array([0, 0, 1]), j[inverted, None] + np.array([0, 1, 1])]
-    return np.concatenate(u) / n, np.concatenate(v) / n
+    u = np.concatenate([i[upright] + 1.0 / 3.0, i[inverted] + 2.0 / 3.0]) / n
+    v = np.concatenate([j[upright] + 1.0 / 3.0, j[inverted] + 2.0 / 3.0]) / n
+    return u, v

@@ -13,7 +13,6 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence
 from mphygs.scene.particles import (
     Quadrature,
-    SurfaceSamples,
     closest_material,
     exposed_surface,
     fill,
@@ -31,8 +30,6 @@ SMALLEST_SHARE = 0.1
 SPARSE, THINNEST = 0.5, 1.0 / 3.0
 # So do all cells of a bar that has so many to a section: no neighbour holds what their points do not see.
 NARROW = 2
-# Points of the surface that may meet a wall are about so far apart at least, in spacings.
-CORNERS_APART = 1.0 / 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +54,7 @@ class Body:
     geometry: arrays for the core, cells and nodes numbered over the grids of all parts; quadrature: its
     points, cells as they stand in space; centroid: (P, 3) of every part [m];
     places: (K, 3) material points that effects at a place may use [m]; turn: of the sequence (see
-    `mphygs.capture.record.Sequence`); corners: of the geometry, what takes the surface's place where a wall
-    may be met (see `_corners`).
+    `mphygs.capture.record.Sequence`).
     """
 
     quadrature: Quadrature
@@ -68,7 +64,6 @@ class Body:
     centroid: np.ndarray
     parts: tuple = field(repr=False, default=())
     turn: np.ndarray | None = field(repr=False, default=None)
-    corners: dict = field(repr=False, default_factory=dict)
 
     def towards(self, vector: np.ndarray) -> np.ndarray:
         """A vector (3,) of the world, gravity's, in the frame that the sequence is told in."""
@@ -252,9 +247,7 @@ def discretise(
         "part_count": len(parts),
     }
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
-    samples = exposed_surface(parts, max_edge=spacing / 2, exclude_boxes=excluded)
-    geometry.update(_surface(body, samples))
-    body = replace(body, corners=_corners(body, samples.at_corners(CORNERS_APART * spacing)))
+    geometry.update(_surface(body, boxes, spacing))
     geometry.update(constraint_rows(body, faces, spacing))
     if places is not None and len(places):
         geometry["places"] = np.asarray(places, float)
@@ -270,12 +263,13 @@ def _section(cell: np.ndarray) -> int:
     return int(np.prod(count) // count.max())
 
 
-def _surface(body: Body, samples: SurfaceSamples) -> dict:
+def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
     """Exposed surface, one block to a cell: the samples in each eighth of it stand together in one lane.
 
     Area and centroid of every eighth are kept, so forces that vary within a quarter of a spacing are
     averaged there; lanes without surface have no area.
     """
+    samples = exposed_surface(body.parts, max_edge=spacing / 2, exclude_boxes=boxes if len(boxes) else None)
     if not len(samples.area):
         return {}
     cells, block = np.unique(
@@ -291,30 +285,6 @@ def _surface(body: Body, samples: SurfaceSamples) -> dict:
     points = np.where((area > 0)[:, None], points, np.repeat(centre, LANES, axis=0))
     return {
         "surface_cell": cells.astype(np.int32),
-        "surface_points": points.reshape(-1, LANES, 3),
-        "surface_area": area.reshape(-1, LANES),
-    }
-
-
-def _corners(body: Body, samples: SurfaceSamples) -> dict:
-    """The same surface, every sample a point of its own, as many blocks to a cell as it has eights of them.
-
-    The middle of an eighth of a cell lies inside the material, at a tip by a millimetre or two: a wall would
-    be met that much too late.
-    """
-    if not len(samples.area):
-        return {}
-    cells, of = np.unique(body.nearest_cell(samples.points, samples.part), axis=0, return_inverse=True)
-    of = of.ravel()
-    order = np.argsort(of, kind="stable")
-    number = np.arange(len(of)) - np.searchsorted(of[order], of[order])
-    blocks = -(-np.bincount(of) // LANES)
-    lane = LANES * (np.cumsum(blocks) - blocks)[of[order]] + number
-    cell = np.repeat(cells, blocks, axis=0)
-    points, area = np.repeat(_centres(body, cell), LANES, axis=0), np.zeros(LANES * len(cell))
-    points[lane], area[lane] = samples.points[order], samples.area[order]
-    return {
-        "surface_cell": cell.astype(np.int32),
         "surface_points": points.reshape(-1, LANES, 3),
         "surface_area": area.reshape(-1, LANES),
     }
@@ -339,9 +309,8 @@ def core_model(
     body: Body, *, active: tuple[str, ...], dtype: type, law: str, threads: int, memory_budget: int
 ) -> object:
     """The compiled model of a body with given core effects switched on."""
-    geometry = body.geometry | (body.corners if "contact" in active else {})
     kind = _core.TotalLagrangianFloat32 if dtype == np.float32 else _core.TotalLagrangianFloat64
     settings = {"active": list(active), "law": law, "threads": threads, "memory_budget": memory_budget}
     extent = float(np.linalg.norm(np.ptp(body.quadrature.points.reshape(-1, 3), axis=0)))
     settings["displacement_limit"] = 100.0 * extent + 100.0
-    return kind(geometry, settings)
+    return kind(body.geometry, settings)

@@ -2,7 +2,7 @@
 // all three of its components can be fitted, with a prior for the length.
 //
 // Penalty: pressure stiffness * depth on the exposed area; friction mu times it against the
-// tangential velocity, smoothed below a slip of 5 mm/s.
+// tangential velocity, smoothed below a slip of 2 cm/s.
 #pragma once
 
 #include "mphygs/effect.hpp"
@@ -44,7 +44,7 @@ struct Contact {
         const S normal_force = q[5] * p.area * pressing;
         const S normal_speed = dot(n, p.velocity);
         const Vec3<S> slip = p.velocity - normal_speed * n;
-        const S speed = square_root(dot(slip, slip) + R(2.5e-5));
+        const S speed = square_root(dot(slip, slip) + R(4e-4));
         const S friction = q[4] * normal_force / speed;
         return normal_force * n - friction * slip;
     }
