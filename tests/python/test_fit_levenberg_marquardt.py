@@ -65,6 +65,25 @@ def test_a_swing_is_fitted() -> None:
     assert np.all(np.diff(solution.history) <= 0.0)
 
 
+class Valley(Toy):
+    """A straight valley whose floor is a million times flatter than its walls, seen from beside its end."""
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        across, along = (belief.coordinates - TRUTH) @ np.array([[1.0, 1.0], [-1.0, 1.0]])
+        j = np.array([[1e4, -1e4], [10.0, 10.0]])
+        residual = np.array([1e4 * across, 10.0 * along])
+        self.jacobians += jacobian
+        return Evaluation(residual, j, 2, 0, {"a": slice(0, 2)}, {}, 1)
+
+
+def test_a_narrow_valley_is_followed_to_its_end() -> None:
+    # From where a damped step promises less than the relative tolerance of a cost of 8.
+    begin = start().at(TRUTH + 0.2)
+    solution = minimise(Valley(), begin, relative_tolerance=1e-2)
+    assert solution.converged
+    np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-2)
+
+
 def test_secant_steps_save_jacobians(monkeypatch: pytest.MonkeyPatch) -> None:
     with_secants, without = Toy(), Toy()
     tight = {"tolerance": 1e-8, "relative_tolerance": 0.0}

@@ -18,8 +18,8 @@ from mphygs.simulate.errors import SimulationError
 
 # Of the present substep: no single step of the optimiser may shorten it more.
 SHORTEST_SUBSTEP = 0.4
-# Marquardt's damping of the first step, in units of the diagonal.
-FIRST_DAMPING = 1e-3
+# Marquardt's damping of the first step, and the least of any, in units of the diagonal.
+FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 # Steps between two Jacobians, each of which costs as much as nine motions or more; a step has to bring these
 # shares of what was promised: for another after it, and to be taken at all.
 SECANTS, TRUSTED, TAKEN = 3, 0.3, 0.05
@@ -80,6 +80,23 @@ def _bounded_step(belief: Belief, normal: np.ndarray, gradient: np.ndarray) -> n
 def _promised(normal: np.ndarray, gradient: np.ndarray, step: np.ndarray) -> float:
     """The fall of the cost that a step would bring, were the residual linear."""
     return -float(gradient @ step + 0.5 * step @ normal @ step)
+
+
+def _worthwhile_damping(
+    belief: Belief, normal: np.ndarray, gradient: np.ndarray, damping: float, worth: float
+) -> float:
+    """The damping, or the largest below it, in stages, at which a step promises what it is worth taking for.
+
+    Along a narrow valley a damped step promises nothing, however far the valley falls: only what an undamped
+    one promises as little tells a minimum.
+    """
+    diagonal = np.diag(np.maximum(np.diag(normal), 1e-12))
+    for less in damping * 10.0 ** -np.arange(10.0):
+        if less < LEAST_DAMPING and less < damping:
+            break
+        if _promised(normal, gradient, _bounded_step(belief, normal + less * diagonal, gradient)) >= worth:
+            return float(less)
+    return damping
 
 
 def _secant(
@@ -304,6 +321,7 @@ def minimise(
         diagonal = np.maximum(np.diag(normal), 1e-12)
         accepted = False
         substep = problem.stable_substep(belief)
+        damping = _worthwhile_damping(belief, normal, gradient, damping, worth(current))
         for _ in range(trials):
             step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
             largest = np.abs(step).max(initial=0.0)
@@ -330,7 +348,7 @@ def minimise(
             ratio = (current.cost - trial.cost) / promised
             if ratio > 1e-3:
                 accepted = True
-                damping = max(damping / (10.0 if ratio > 0.7 else 2.0), 1e-9)
+                damping = max(damping / (10.0 if ratio > 0.7 else 2.0), LEAST_DAMPING)
                 break
             damping = max(damping, 1e-4) * 8.0
         if converged:
