@@ -19,7 +19,7 @@ from extend_example import (
     step_of,
 )
 from mphygs.compare.allowance import Allowance
-from mphygs.extend import discover, separate, settle, simplest
+from mphygs.extend import discover, ranked, separate, settle, simplest
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import CONTRAST, about_its_scale
@@ -47,13 +47,18 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
         return []
 
     patches: dict[str, Callable] = {
-        "tractable_window": lambda *_: (0.06, near), "_from_afar": lambda *_: afar,
-        "allowance_of": lambda *_, **__: own, "rank": rank, "refits_of": refits_of,
+        "refits_of": refits_of,
         "refined": lambda _e, steps, *_, **__: steps[-1], "reconciled": lambda _e, step, _r: step,
         "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "exchanged": lambda *_, **__: None,
     }  # fmt: skip
     for name, function in patches.items():
         monkeypatch.setattr(discover, name, function)
+    seen_at: dict[str, Callable] = {
+        "tractable_window": lambda *_: (0.06, near), "_from_afar": lambda *_: afar,
+        "allowance_of": lambda *_, **__: own, "rank": rank,
+    }  # fmt: skip
+    for name, function in seen_at.items():
+        monkeypatch.setattr(ranked, name, function)
     steps = [step_of(excess_of(10.0))]
     discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
     (belief, allowance), (seen, from_afar) = asked[0], begun[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -962,8 +962,7 @@ def test_what_explains_too_little_is_not_kept(
 
     whole = (1.0, first.solution)
     patches: dict[str, Callable] = {
-        "tractable_window": lambda *_: whole, "allowance_of": lambda *_, **__: None,
-        "rank": lambda *_, **__: ranking_of(), "refits_of": refits_of,
+        "ranked": lambda *_, **__: (whole, False, ranking_of()), "refits_of": refits_of,
         "choose": lambda refits: (refits[0], []),
         "step_of": lambda *_: found, "settled": lambda *_, **__: found, "pruned": lambda _e, step, *_: step,
         "reconciled": lambda _e, step, _r: step, "refined": lambda _e, steps, *_, **__: steps[-1],
@@ -1003,13 +1002,11 @@ def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
     steps = [step_of(excess_of(left), added=name) for name, left in zip(added, excesses, strict=True)]
     looked: list[int] = []
 
-    def tractable_window(*_: object) -> tuple[float, Solution]:
+    def ranked(*_: object, **__: object) -> tuple[tuple[float, Solution], bool, Ranking]:
         looked.append(1)
-        return 1.0, steps[-1].solution
+        return (1.0, steps[-1].solution), False, ranking_of()
 
-    monkeypatch.setattr(discover, "tractable_window", tractable_window)
-    monkeypatch.setattr(discover, "allowance_of", lambda *_, **__: None)
-    monkeypatch.setattr(discover, "rank", lambda *_, **__: ranking_of())
+    monkeypatch.setattr(discover, "ranked", ranked)
     monkeypatch.setattr(discover, "refits_of", lambda *_, **__: [])
     monkeypatch.setattr(discover, "refined", lambda _e, steps, *_, **__: steps[-1])
     monkeypatch.setattr(discover, "reconciled", lambda _e, step, _r: step)
@@ -1040,8 +1037,8 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
     pays = SimpleNamespace(pays=True, surprising=False, entry=SimpleNamespace(effect="wind"))
     rounds = iter([[pays]])
     patches: dict[str, Callable] = {
-        "tractable_window": lambda *_: (1.0, steps[-1].solution), "allowance_of": lambda *_, **__: None,
-        "rank": lambda *_, **__: ranking_of(), "refits_of": lambda *_, **__: next(rounds, []),
+        "ranked": lambda *_, **__: ((1.0, steps[-1].solution), False, ranking_of()),
+        "refits_of": lambda *_, **__: next(rounds, []),
         "choose": lambda refits: (refits[0], []), "step_of": lambda *_: last,
         "settled": lambda *_, **__: last, "without_loads": lambda _e: loads,
         "pruned": lambda _e, step, *_: pruned.append(step.added[0]) or step,
@@ -1056,33 +1053,6 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
         monkeypatch.setattr(discover, name, function)
     discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
     assert pruned == (["wind"] if asked else [])
-
-
-@pytest.mark.parametrize(
-    ("names", "asked"),
-    [(None, discover.LOADS), (["wind", "fibre"], ["wind"]), (["fibre", "tether"], ["fibre", "tether"])],
-)
-def test_of_other_scales_that_is_taken_at_which_a_load_promises_most(
-    names: list[str] | None, asked: Sequence[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scales = [solution_of(plain_belief(), evaluation_of(1e4)) for _ in range(3)]
-    promised = {id(scales[0]): 2e3, id(scales[1]): 7e3, id(scales[2]): 5e3}
-    by_belief = {id(solution.belief): promised[id(solution)] for solution in scales}
-
-    def rank(
-        _e: object, belief: Belief, *_: object, trials: bool, names: Sequence[str], **__: object
-    ) -> Ranking:
-        assert not trials and list(names) == list(asked)
-        entries = entry_of("gravity", 1e2), entry_of("base_motion", by_belief[id(belief)])
-        return replace(ranking_of(*entries), chi_square=1e4)
-
-    monkeypatch.setattr(discover, "rank", rank)
-    monkeypatch.setattr(discover, "at_other_scales", lambda *_: scales)
-    generator = np.random.default_rng(0)
-    found = discover._from_afar(ALONE, (0.06, scales[0]), SPACING, generator, names, None)
-    assert found is scales[1]
-    monkeypatch.setattr(discover, "at_other_scales", lambda *_: [])
-    assert discover._from_afar(ALONE, (0.06, scales[0]), SPACING, generator, names, None) is None
 
 
 # ---- a loop that was stopped ------------------------------------------------------------------

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mphygs.compare.allowance import Allowance
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.compare.roughness import doubted_sigma
-from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.outliers import bad_observations
-from mphygs.diagnose.rank import Ranking, rank
+from mphygs.diagnose.rank import Ranking
 from mphygs.extend.anew import anew
 from mphygs.extend.exchange import exchanged
 from mphygs.extend.finer import compared_at
@@ -21,6 +19,7 @@ from mphygs.extend.grids import finely, polished, refined, with_budget
 from mphygs.extend.narrow import narrowed
 from mphygs.extend.probe import probed
 from mphygs.extend.prune import pruned
+from mphygs.extend.ranked import ranked
 from mphygs.extend.readmit import readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import AT_FLOOR
@@ -28,7 +27,7 @@ from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
-from mphygs.extend.window import HALF, at_other_scales, passed_on_the_way, tractable_window
+from mphygs.extend.window import HALF, passed_on_the_way
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import FINE, Stage, deciding_spacing, fit_belief, plan_of, screening_spacing
@@ -42,8 +41,6 @@ LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.8
-# What tells common scales of the materials apart where something acts from the start on.
-LOADS = ("gravity", "wind", "base_motion")
 # So much of the noise or less in every range says that the noise is stated too large.
 FAR_LESS = 0.5
 
@@ -217,27 +214,8 @@ def discover(
         experiment.whole = simple if simple and explains(current, simple) else ()
         # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
         generator = np.random.default_rng((seed, len(steps)))
-        window = tractable_window(experiment, current, spacing, say)
-        afar = _from_afar(experiment, window, spacing, generator, names, report)
-        if afar is not None:
-            window = window[0], afar
-        fitted = window[1]
-        # From afar the grid's error is that of another motion: no share of what is left there.
-        share = (
-            allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=window[0])
-            if afar is None
-            else Allowance()
-        )
-        ranking = rank(
-            experiment,
-            fitted.belief,
-            fitted.evaluation,
-            spacing,
-            share=window[0],
-            generator=generator,
-            names=names,
-            allowance=share,
-            report=report,
+        window, afar, ranking = ranked(
+            experiment, current, spacing, generator, names=names, report=report
         )
         rankings.append(ranking)
         for entry in ranking.entries[:6]:
@@ -246,7 +224,7 @@ def discover(
                 f"p {entry.p_value:.2g}"
             )
         finished = refits_of(
-            experiment, current, window, ranking, spacing, generator, say, afar=afar is not None
+            experiment, current, window, ranking, spacing, generator, say, afar=afar
         )
         for r in finished:
             if window[0] == 1.0 and r.surprising:
@@ -296,33 +274,6 @@ def discover(
             steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
         steps[-1] = narrowed(experiment, steps[-1], report)
     return _conclude(steps, rankings, warnings, final=final)
-
-
-def _from_afar(
-    experiment: Experiment,
-    window: tuple[float, Solution],
-    spacing: float,
-    generator: np.random.Generator,
-    names: Sequence[str] | None,
-    report: Callable[[str], None] | None,
-) -> Solution | None:
-    """Where a first model is far off even on the first few frames: these frames seen with all parts as soft
-    as usual, at the scale at which a load promises to leave least."""
-    best, least = None, np.inf
-    loads = LOADS if names is None else [name for name in LOADS if name in names] or names
-    for solution in at_other_scales(experiment, window, spacing):
-        ranking = rank(
-            experiment, solution.belief, solution.evaluation, spacing, share=window[0],
-            generator=generator.spawn(1)[0], names=loads, trials=False, report=report,
-        )  # fmt: skip
-        left = ranking.chi_square - max((entry.statistic for entry in ranking.entries), default=0.0)
-        if left < least:
-            best, least = solution, left
-    if best is not None and report:
-        young = [best.belief[f"{part}.youngs_modulus"].value for part in best.belief.parts]
-        misfit = best.evaluation.misfit
-        report(f"seen with all parts at {1e-3 * np.median(young):.3g} kPa: {misfit:.3f} sigma")
-    return best
 
 
 def _conclude(

@@ -22,6 +22,7 @@ SHORTER = (0.16, 0.1, 0.06)
 HARDLY_WORSE, OTHERS = 2.0, 3
 # The share of the frames that a first model was fitted to on its way.
 HALF = 0.5
+ON_THE_WAY = "passed on the way"
 # What is left is the grid's own where that may be so many times as much: of thin parts it says too much.
 OWN = 2.0
 # Of the frames of other recordings, seen from the model that explains the simplest ones.
@@ -107,7 +108,7 @@ def tractable_window(
         # The fit passed a window on its way.
         evaluation = experiment.window(spacing, HALF).evaluate(current.halfway)
         say(f"window of {HALF:.0%} of the frames: {ratio_of(evaluation):.3f} sigma")
-        passed = Solution(current.halfway, evaluation, (evaluation.cost,), True, "passed on the way")
+        passed = Solution(current.halfway, evaluation, (evaluation.cost,), True, ON_THE_WAY)
         if ratio_of(evaluation) < TRACTABLE:
             if ratio_of(evaluation) > VISIBLE and not grids_own(HALF, passed):
                 return HALF, passed
