@@ -80,6 +80,17 @@ def test_a_window_passed_on_the_way_in_which_nothing_promises_much_is_left_for_t
     assert len(ranking.entries) == len(again if chosen == "again" else promises)
 
 
+def test_a_promise_is_held_against_what_the_grid_leaves_of_the_excess() -> None:
+    """Net of the grid's own directions, 5000 of 100000 are left beyond noise."""
+    table = SimpleNamespace(chi_square=6e3, degrees=1000)
+    ranking = replace(ranking_of(0.03), table=table)
+    assert ranked._promised(ranking) == pytest.approx(0.03)
+    assert ranked._promised(ranking, net=True) == pytest.approx(0.6)
+    # Trials know of no grid's directions.
+    wall = replace(ranking, entries=(entry_of("contact", 3e4, kind="threshold"),))
+    assert ranked._promised(wall, net=True) == pytest.approx(0.3)
+
+
 @pytest.mark.parametrize(
     ("names", "asked"),
     [(None, ranked.LOADS), (["wind", "fibre"], ["wind"]), (["fibre", "tether"], ["fibre", "tether"])],

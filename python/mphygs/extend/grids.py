@@ -141,11 +141,13 @@ def on_grid(
                 report=tell,
             )  # fmt: skip
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
-        near = tangents and experiment.assess(compared).worst <= LARGEST_EXCUSED
-        if near and solution.evaluation.misfit <= EXPLAINED:
-            # It may be concluded from: its tangents on all frames, which cost most, are asked for once.
-            solution = _to_last_digits(problem, solution.belief)
-            compared = experiment.compare(solution.belief, spacing, jacobian=False)
+        if tangents and solution.evaluation.misfit <= EXPLAINED:
+            near = experiment.assess(compared).worst <= LARGEST_EXCUSED
+            if near or (step.added and not sets_in(step)):
+                # It may be concluded from: its tangents on all frames, which cost most, are asked for once.
+                # Or only unseen frames are off: in a narrow valley the last digits of the cost decide those.
+                solution = _to_last_digits(problem, solution.belief, ITERATIONS // 2 if near else ITERATIONS)
+                compared = experiment.compare(solution.belief, spacing, jacobian=False)
         if tangents:
             compared = with_tangents(experiment, compared, solution.belief, spacing)
     except SimulationError as error:
@@ -179,9 +181,9 @@ def _creeps(solution: Solution) -> bool:
     return least > NEAR_FLOOR**2 * c / solution.evaluation.misfit**2
 
 
-def _to_last_digits(problem: Problem, belief: Belief) -> Solution:
+def _to_last_digits(problem: Problem, belief: Belief, iterations: int = ITERATIONS // 2) -> Solution:
     """The fit at the minimum, to a small share of the standard errors; refits stop short of it."""
-    return minimise(problem, belief, iterations=ITERATIONS // 2, relative_tolerance=LAST_DIGITS)
+    return minimise(problem, belief, iterations=iterations, relative_tolerance=LAST_DIGITS)
 
 
 def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:

@@ -60,15 +60,19 @@ def ranked(
         say("no effect promises much there: seen again from the first frames on")
         other = tractable_window(experiment, replace(current, halfway=None), spacing, say)
         again = ranking_of(other, generator.spawn(1)[0])
-        if _promised(again) > _promised(ranking):
+        if _promised(again, net=True) > _promised(ranking, net=True):
             return other, False, again
     return window, afar is not None, ranking
 
 
-def _promised(ranking: Ranking) -> float:
-    """The largest share of the excess over noise that an effect is predicted to take."""
-    beyond = max(ranking.chi_square - ranking.rows, 1.0)
-    return max((entry.statistic for entry in ranking.entries), default=0.0) / beyond
+def _promised(ranking: Ranking, *, net: bool = False) -> float:
+    """The largest share of the excess over noise that an effect is predicted to take; net: of a smooth one's,
+    what the grid may have of its own is no part."""
+    beyond = own = max(ranking.chi_square - ranking.rows, 1.0)
+    if net and ranking.table is not None:
+        own = max(ranking.table.chi_square - ranking.table.degrees, 1.0)
+    shares = [e.statistic / (beyond if e.kind == "threshold" else own) for e in ranking.entries]
+    return max(shares, default=0.0)
 
 
 def _from_afar(
