@@ -119,10 +119,10 @@ def test_from_afar_places_are_fitted_of_all_that_are_not_far_behind(monkeypatch:
 
     monkeypatch.setattr(following, "relocated", relocated)
     experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
-    # The best, another one, one without a place, one at three times the best, one that is far behind.
-    left = [(100.0, there), (140.0, there), (150.0, nowhere), (300.0, there), (301.0, there)]
+    # The best, another one, one without a place, one at six times the best, one that is far behind.
+    left = [(100.0, there), (140.0, there), (150.0, nowhere), (600.0, there), (601.0, there)]
     begun = [(chi, entry_of("tether", 1e4), solution_of(belief, evaluation_of(chi))) for chi, belief in left]
     found = at_their_places(experiment, begun, 0.06, SPACING, lambda _text: None)
     assert [id(fit) for fit in asked] == [id(begun[k][2]) for k in (0, 1, 3)]
-    assert [chi for chi, _, _ in found] == pytest.approx([50.0, 140.0, 150.0, 50.0, 301.0])
+    assert [chi for chi, _, _ in found] == pytest.approx([50.0, 140.0, 150.0, 50.0, 601.0])
     assert found[3][1] is begun[3][1] and found[3][2] is not begun[3][2]

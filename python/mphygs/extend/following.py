@@ -26,8 +26,9 @@ LINEAR = 2.0
 # Where a refit to the first frames predicts the others to LINEAR, those that leave so many times as much
 # beyond noise there are behind; what is less than the second number [of the noise's mean square] is noise.
 ASTRAY, NOISE = 10.0, 0.1
-# One that leaves so many times the best one's chi^2 once it was followed onward is not brought to the end.
-BEHIND = 3.0
+# One that leaves so many times the best one's chi^2 once it was followed onward is not brought to the end;
+# one whose place is not fitted yet may leave more.
+BEHIND, MISPLACED = 3.0, 6.0
 
 
 def at_their_places(
@@ -43,7 +44,7 @@ def at_their_places(
 
     def relocate(own: Experiment, item: Begun) -> Begun:
         chi_square, entry, fit = item
-        if chi_square > BEHIND * best or not movable(fit.belief):
+        if chi_square > MISPLACED * best or not movable(fit.belief):
             return item
         try:
             fit = relocated(own.window(spacing, share), fit, report=say)
