@@ -20,6 +20,9 @@ RELAXATION_TIMES = (0.02, 0.1, 0.5)
 GRADIENTS = ("stiffness_gradient", "density_gradient")
 PLACES = 8
 TETHER_PLACES = 3
+# A tether's stiffness is told by an estimate of so many standard deviations; else it is tried with so many
+# times that at which its pull comes from as far as the object is large. Never slacker than the last [N/m].
+SURE, NEARER, SLACKEST = 2.0, (1.0, 3.0), 1e-3
 # Of a wind whose drag is light [m/s].
 FLOW = 2.0
 # Settings of a steady load that came after the published shape was taken, and how it is told from one that
@@ -269,10 +272,18 @@ def base_motion_ways(belief: Belief, frequencies: Sequence[float]) -> list[Way]:
 
 
 def other_starts(way: Way, score: Score, belief: Belief) -> tuple[Belief, ...]:
-    """Further beliefs for a refit to start from: a gradient along each principal axis of its part alone.
+    """Further beliefs for a refit to start from: a gradient along each principal axis of its part alone; a
+    tether that pulls as hard from nearer by, where the estimate does not tell how stiff it is.
 
     Across a thin part a slope of any size changes little but the linear prediction, and may lead it astray.
     """
+    if way.effect == "tether":
+        of_total = float(np.linalg.pinv(score.information, hermitian=True).sum())  # its variance
+        if score.estimate.sum() > SURE * np.sqrt(max(of_total, 0.0)):
+            return ()
+        afar = float(np.linalg.norm(score.estimate[1:]))
+        first = _stiffness(score.estimate)
+        return tuple(_with_tether(way, k * afar, score.estimate, belief) for k in NEARER if k * afar != first)
     if way.effect not in GRADIENTS:
         return ()
     starts = []
@@ -281,6 +292,27 @@ def other_starts(way: Way, score: Score, belief: Belief) -> tuple[Belief, ...]:
         if known > 0.0:
             starts.append(_with_gradient(way, float(axis @ score.score) / known * axis, belief))
     return tuple(starts)
+
+
+def _stiffness(estimate: np.ndarray) -> float:
+    """Of all springs of a tether together [N/m]; where none came out, with the anchor of their pull as
+    far away as the object is large."""
+    total = float(estimate.sum())
+    return max(total if total > 0.0 else float(np.linalg.norm(estimate[1:])), SLACKEST)
+
+
+def _with_tether(way: Way, stiffness: float, estimate: np.ndarray, belief: Belief) -> Belief:
+    """A tether of a stiffness [N/m] that pulls, where the object was published, as the springs of an estimate
+    do: of k_j to anchors p + L e_j."""
+    place, size = np.array(way.settings["place"]), way.settings["size"]
+    stiffness = max(stiffness, SLACKEST)
+    anchor = np.clip(place + size * estimate[1:] / stiffness, place - 10 * size, place + 10 * size)
+    values = {f"anchor_{a}": float(x) for a, x in zip("xyz", anchor, strict=True)}
+    settings = {key: value for key, value in way.settings.items() if key != "size"}
+    extended = belief.with_effect("tether", {"k": stiffness, **values}, settings)
+    for a in "xyz":
+        extended = extended.with_parameter(f"tether.anchor_{a}", free=True, scale=size)
+    return extended
 
 
 def _with_gradient(way: Way, slope: np.ndarray, belief: Belief) -> Belief:
@@ -296,20 +328,7 @@ def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
     """The belief with a way's effect at the score's estimate, ready for a refit."""
     name = way.effect
     if name == "tether":
-        # k_j to anchors p + L e_j: k = sum k_j, k a = sum k_j a_j.
-        place, size = np.array(way.settings["place"]), way.settings["size"]
-        total = float(estimate.sum())
-        anchor = place + size * estimate[1:] / total if abs(total) > 1e-9 else place
-        anchor = np.clip(anchor, place - 10 * size, place + 10 * size)
-        values = {
-            "k": max(total, 1e-3),
-            **dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, anchor), strict=True)),
-        }
-        settings = {key: value for key, value in way.settings.items() if key != "size"}
-        extended = belief.with_effect(name, values, settings)
-        for a in "xyz":
-            extended = extended.with_parameter(f"tether.anchor_{a}", free=True, scale=size)
-        return extended
+        return _with_tether(way, _stiffness(estimate), estimate, belief)
     if name in GRADIENTS:
         return _with_gradient(way, estimate, belief)
     if name == "base_motion":
