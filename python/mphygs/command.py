@@ -22,6 +22,8 @@ import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
+from mphygs.countdown import duration
+
 DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
 # Set to anything, this shows where an error comes from.
 TRACEBACK_VARIABLE = "MPHYGS_TRACEBACK"
@@ -80,15 +82,6 @@ class Console:
         if share > 0.0:
             left = f", about {duration(self.seconds * (1.0 - share) / share)} left"
         self.say(f"[{100.0 * min(share, 1.0):3.0f} %, {duration(self.seconds)}{left}] {text}")
-
-
-def duration(seconds: float) -> str:
-    """A time span in words of one glance."""
-    if seconds < 100.0:
-        return f"{seconds:.0f} s"
-    if seconds < 6000.0:
-        return f"{seconds / 60.0:.0f} min"
-    return f"{seconds / 3600.0:.1f} h"
 
 
 def names(text: str | None) -> tuple[str, ...]:

@@ -14,7 +14,8 @@ import tyro
 
 from mphygs.capture.format import load_capture
 from mphygs.claim import claim, clear
-from mphygs.command import Answer, CommonOptions, Console, OptionError, duration, names, plain, run
+from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
+from mphygs.countdown import duration
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.__main__ import diagnosis_document, known_effects, ranking_entries
 from mphygs.diagnose.missing_force_document import (

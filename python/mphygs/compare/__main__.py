@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -54,8 +55,14 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
     wanted = chosen_names(experiment, names(options.sequences))
+    frames = [max(experiment.capture.sequence(name).frames, 1) for name in experiment.compared_names(wanted)]
+    begun = itertools.count()
+
+    def predicting(text: str) -> None:
+        console.progress(sum(frames[: next(begun)]) / sum(frames), text)
+
     compared = experiment.compare(
-        belief, state.settings.spacing, names=wanted, refine=True, report=console.say
+        belief, state.settings.spacing, names=wanted, refine=True, report=predicting
     )
     assessment = experiment.assess(compared)
     document = comparison_document(experiment, compared, assessment)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from mphygs.countdown import Countdown
 from mphygs.diagnose.rank import Entry
 from mphygs.extend.met_again import onward
 from mphygs.extend.setting_in import fit_what_sets_in
@@ -85,6 +86,11 @@ def told_by_prediction(
     return [item for item in begun if not any(item is other for other in astray)], astray
 
 
+def _frames_ahead(followed: Sequence[tuple[Entry, Solution, list[float]]], share: float) -> float:
+    """Shares of the frames that refits have to be fitted to yet, beyond a share, all together."""
+    return sum(reach for _, _, plan in followed for reach in plan if reach > share)
+
+
 def followed_onward(
     experiment: Experiment,
     share: float,
@@ -99,6 +105,8 @@ def followed_onward(
     falls behind others on the way is not brought to the end.
     """
     followed = [(entry, solution, onward(share, entry.kind)) for _, entry, solution in begun]
+    # A fit to twice the frames takes about twice as long.
+    countdown = Countdown(say, "followed onward", _frames_ahead(followed, share))
     for reach in sorted({reach for _, _, plan in followed for reach in plan}):
         passing = [item for item in followed if reach not in item[2]]
         there: list[tuple[Entry, Solution, list[float]]] = []
@@ -133,6 +141,8 @@ def followed_onward(
                 if number < FINISHED
                 or item[1].evaluation.chi_square < ALIKE * there[0][1].evaluation.chi_square
             ]
+        done = reach * sum(reach in plan for _, _, plan in followed)
         followed = passing + there
+        countdown.done(done, left=_frames_ahead(followed, reach))
     reached = [(solution.evaluation.chi_square, entry, solution) for entry, solution, _ in followed]
     return sorted(reached, key=lambda item: item[0])

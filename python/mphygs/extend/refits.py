@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.compare.assess import BUDGET_FLOOR
+from mphygs.countdown import Countdown
 from mphygs.diagnose.grid_error import may_have_all, unabsorbed
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend.following import (
@@ -103,7 +104,9 @@ def refits_of(
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     iterations = FIRST_AFAR if afar else FIRST_NEAR if near else FIRST
     accuracy = ACCURACY_AFAR if afar else ACCURACY
-    for wave in waves(promising(ranking)):
+    entries = promising(ranking)
+    countdown = Countdown(say, "refits begun", len(entries))
+    for wave in waves(entries):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
         # From afar no first iteration says how far one leads, and a few frames cost little.
         hopeless = np.inf if afar else HOPELESS * best
@@ -125,6 +128,7 @@ def refits_of(
         for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
             if solution is not None:
                 begun.append((solution.evaluation.chi_square, entry, solution))
+        countdown.done(len(wave))
     begun = _with_limits(experiment, begun, ranking, window[0], spacing, say, iterations, accuracy)
     if afar:
         begun = at_their_places(experiment, begun, window[0], spacing, say)
