@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
-from mphygs.countdown import duration
+from mphygs.fit.countdown import duration
 
 DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
 # Set to anything, this shows where an error comes from.

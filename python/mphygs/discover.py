@@ -15,7 +15,6 @@ import tyro
 from mphygs.capture.format import load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
-from mphygs.countdown import duration
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.__main__ import diagnosis_document, known_effects, ranking_entries
 from mphygs.diagnose.missing_force_document import (
@@ -31,6 +30,7 @@ from mphygs.extend.step import Step
 from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.extend.window import passed_on_the_way
 from mphygs.fit.__main__ import RUNS, FitOptions, check_options, chosen_ranges, fitted
+from mphygs.fit.countdown import duration
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of

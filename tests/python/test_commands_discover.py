@@ -112,7 +112,7 @@ def test_diagnose_goes_on_where_it_was_stopped(
         line = f"continue with: mphygs diagnose '{run}' --effects {CANDIDATES} --resume"
         assert line in err.splitlines()[-1]
         # The first ranking is not made again.
-        monkeypatch.setattr("mphygs.extend.discover.rank", None)
+        monkeypatch.setattr("mphygs.extend.ranked.rank", None)
     code, _, err = call(diagnose.main, run, "--effects", "gravity", "--resume")
     assert code == 2 and f"began with {CANDIDATES}" in err and err.count("\n") == 1
     found = answer(diagnose.main, run, "--effects", CANDIDATES, "--resume")

@@ -13,7 +13,8 @@ from extend_example import SIGMA, SPACING, recorded
 from mphygs.capture.holds import Load
 from mphygs.diagnose.contact_search import Plane, with_wall
 from mphygs.extend import discover as discover_module
-from mphygs.extend.discover import discover, first_fit, tractable_window
+from mphygs.extend.discover import discover, first_fit
+from mphygs.extend.window import tractable_window
 from mphygs.fit import schedule
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution

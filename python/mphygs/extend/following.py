@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mphygs.countdown import Countdown
 from mphygs.diagnose.rank import Entry
 from mphygs.extend.met_again import onward
 from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.settle import ALIKE
+from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.places import movable, relocated

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.countdown import Countdown
 from mphygs.diagnose.grid_error import may_have_all, unabsorbed
 from mphygs.diagnose.rank import Entry, Ranking
 from mphygs.extend.following import (
@@ -24,6 +23,7 @@ from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
 from mphygs.extend.settle import ALIKE, ALIKE_EXCESS, RIVAL
 from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, without_memory
 from mphygs.extend.step import Step
+from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.schedule import SCREENING_ACCURACY

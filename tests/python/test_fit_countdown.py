@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mphygs import countdown
-from mphygs.countdown import Countdown, duration
+from mphygs.fit import countdown
+from mphygs.fit.countdown import Countdown, duration
 
 
 @pytest.mark.parametrize(
