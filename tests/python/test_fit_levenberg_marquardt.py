@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from extend_example import plain_belief
-from mphygs.fit import levenberg_marquardt
+from mphygs.fit import damped_step, levenberg_marquardt
 from mphygs.fit.levenberg_marquardt import approached, minimise
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
@@ -105,7 +105,7 @@ def test_the_secant_jacobian_explains_the_step_and_leaves_the_rest() -> None:
     random = np.random.default_rng(1)
     jacobian, before, after = random.normal(size=(5, 3)), random.normal(size=5), random.normal(size=5)
     step = np.array([0.3, -0.1, 0.0])
-    found = levenberg_marquardt._secant(jacobian, before, after, step, np.ones(3))
+    found = damped_step.secant(jacobian, before, after, step, np.ones(3))
     np.testing.assert_allclose(found @ step, after - before, atol=1e-12)
     across = np.array([0.1, 0.3, 0.7])  # at right angles to the step
     np.testing.assert_allclose(found @ across, jacobian @ across, atol=1e-12)

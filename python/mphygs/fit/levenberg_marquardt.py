@@ -12,14 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mphygs.fit.damped_step import (
+    FIRST_DAMPING,
+    LEAST_DAMPING,
+    bounded_step,
+    promised_by,
+    secant,
+    worthwhile_damping,
+)
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
 # Of the present substep: no single step of the optimiser may shorten it more.
 SHORTEST_SUBSTEP = 0.4
-# Marquardt's damping of the first step, and the least of any, in units of the diagonal.
-FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 # Steps between two Jacobians, each of which costs as much as nine motions or more; a step has to bring these
 # shares of what was promised: for another after it, and to be taken at all.
 SECANTS, TRUSTED, TAKEN = 3, 0.3, 0.05
@@ -49,64 +55,6 @@ class Solution:
     reason: str
 
 
-def _bounded_step(belief: Belief, normal: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Solve normal * step = -gradient with the coordinates kept in their bounds.
-
-    A coordinate whose step leads out of its bound is put there and taken out of the system; the
-    system is small, so this is repeated until none is left.
-    """
-    free = belief.free
-    now = belief.coordinates
-    low, high = (
-        np.array([np.log(b) if p.log else b / p.scale for p, b in zip(free, bounds, strict=True)])
-        for bounds in ([p.lower for p in free], [p.upper for p in free])
-    )
-    step = np.zeros(len(now))
-    active = np.zeros(len(now), bool)
-    for _ in range(len(now) + 1):
-        inside = ~active
-        if not inside.any():
-            break
-        right = -gradient[inside] - normal[np.ix_(inside, active)] @ step[active]
-        step[inside] = np.linalg.lstsq(normal[np.ix_(inside, inside)], right, rcond=1e-13)[0]
-        out = inside & ((now + step < low - 1e-12) | (now + step > high + 1e-12))
-        if not out.any():
-            break
-        step[out] = np.clip(now + step, low, high)[out] - now[out]
-        active |= out
-    return step
-
-
-def _promised(normal: np.ndarray, gradient: np.ndarray, step: np.ndarray) -> float:
-    """The fall of the cost that a step would bring, were the residual linear."""
-    return -float(gradient @ step + 0.5 * step @ normal @ step)
-
-
-def _worthwhile_damping(
-    belief: Belief, normal: np.ndarray, gradient: np.ndarray, damping: float, worth: float
-) -> float:
-    """The damping, or the largest below it, in stages, at which a step promises what it is worth taking for.
-
-    Along a narrow valley a damped step promises nothing, however far the valley falls: only what an undamped
-    one promises as little tells a minimum.
-    """
-    diagonal = np.diag(np.maximum(np.diag(normal), 1e-12))
-    for less in damping * 10.0 ** -np.arange(10.0):
-        if less < LEAST_DAMPING and less < damping:
-            break
-        if _promised(normal, gradient, _bounded_step(belief, normal + less * diagonal, gradient)) >= worth:
-            return float(less)
-    return damping
-
-
-def _secant(
-    jacobian: np.ndarray, before: np.ndarray, after: np.ndarray, step: np.ndarray, scale: np.ndarray
-) -> np.ndarray:
-    """The Jacobian that is nearest, in units of `scale`, and explains how the residual changed."""
-    weighted = scale * step
-    return jacobian + np.outer(after - before - jacobian @ step, weighted / max(weighted @ step, 1e-300))
-
-
 def _worth(evaluation: Evaluation, tolerance: float, relative: float) -> float:
     """The fall of the cost that another step is worth taking for.
 
@@ -133,8 +81,8 @@ def _follow_secants(
         normal = jacobian.T @ jacobian
         gradient = jacobian.T @ reached.residual
         diagonal = np.maximum(np.diag(normal), 1e-12)
-        step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
-        promised = _promised(normal, gradient, step)
+        step = bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
+        promised = promised_by(normal, gradient, step)
         if promised < worth(reached) or (logs.any() and np.abs(step[logs]).max() > longest_step):
             break
         ahead = belief.at(belief.coordinates + step)
@@ -147,7 +95,7 @@ def _follow_secants(
         ratio = (reached.cost - trial.cost) / promised
         if ratio < TAKEN:
             break
-        jacobian = _secant(jacobian, reached.residual, trial.residual, step, diagonal)
+        jacobian = secant(jacobian, reached.residual, trial.residual, step, diagonal)
         belief, reached = ahead, trial
         if ratio < TRUSTED:
             break
@@ -321,14 +269,14 @@ def minimise(
         diagonal = np.maximum(np.diag(normal), 1e-12)
         accepted = False
         substep = problem.stable_substep(belief)
-        damping = _worthwhile_damping(belief, normal, gradient, damping, worth(current))
+        damping = worthwhile_damping(belief, normal, gradient, damping, worth(current))
         for _ in range(trials):
-            step = _bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
+            step = bounded_step(belief, normal + damping * np.diag(diagonal), gradient)
             largest = np.abs(step).max(initial=0.0)
             logs = np.array([p.log for p in belief.free])
             if logs.any() and np.abs(step[logs]).max() > longest_step:
                 step *= longest_step / np.abs(step[logs]).max()
-            promised = _promised(normal, gradient, step)
+            promised = promised_by(normal, gradient, step)
             if largest == 0.0 or promised < worth(current):
                 converged, reason = True, "converged"
                 break
@@ -339,7 +287,7 @@ def minimise(
                     break
                 step = 0.5 * step
                 trial_belief = belief.at(belief.coordinates + step)
-            promised = _promised(normal, gradient, step)
+            promised = promised_by(normal, gradient, step)
             try:
                 trial = problem.evaluate(trial_belief, jacobian=False)
             except SimulationError:
@@ -359,7 +307,7 @@ def minimise(
             break
         belief, reached = trial_belief, trial
         if ratio > TRUSTED:
-            after = _secant(current.jacobian, current.residual, trial.residual, step, diagonal)
+            after = secant(current.jacobian, current.residual, trial.residual, step, diagonal)
             belief, reached = _follow_secants(problem, belief, trial, after, damping, worth, longest_step)
         if iteration == 1 and reached.chi_square > hopeless:
             history.append(reached.cost)
@@ -388,8 +336,8 @@ def promise(belief: Belief, evaluation: Evaluation) -> float:
     """The fall of the cost that another step promises. evaluation: of the belief, with its Jacobian."""
     normal = evaluation.jacobian.T @ evaluation.jacobian
     gradient = evaluation.jacobian.T @ evaluation.residual
-    step = _bounded_step(belief, normal + FIRST_DAMPING * np.diag(np.diag(normal)), gradient)
-    return _promised(normal, gradient, step)
+    step = bounded_step(belief, normal + FIRST_DAMPING * np.diag(np.diag(normal)), gradient)
+    return promised_by(normal, gradient, step)
 
 
 def still_at_minimum(
