@@ -298,7 +298,7 @@ def _stiffness(estimate: np.ndarray) -> float:
     """Of all springs of a tether together [N/m]; where none came out, with the anchor of their pull as
     far away as the object is large."""
     total = float(estimate.sum())
-    return max(total if total > 0.0 else float(np.linalg.norm(estimate[1:])), SLACKEST)
+    return total if total > 0.0 else float(np.linalg.norm(estimate[1:]))
 
 
 def _with_tether(way: Way, stiffness: float, estimate: np.ndarray, belief: Belief) -> Belief:

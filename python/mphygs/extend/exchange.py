@@ -11,13 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.diagnose.grid_error import allowance_of
-from mphygs.diagnose.rank import rank
+from mphygs.extend.ranked import ranked
 from mphygs.extend.refit import AT_FLOOR, Refit
 from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import among, step_of
 from mphygs.extend.step import Step, excess
-from mphygs.extend.window import tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, told
 from mphygs.fit.schedule import SCREENING_ACCURACY
@@ -110,17 +108,6 @@ def _tried(
     )
     compared = experiment.compare(lacking.belief, spacing, jacobian=False)
     step = Step(lacking.belief, lacking, compared, experiment.assess(compared), spacing, current.added)
-    window = tractable_window(experiment, step, spacing, say)
-    share, fitted = window
-    ranking = rank(
-        experiment,
-        fitted.belief,
-        fitted.evaluation,
-        spacing,
-        share=share,
-        generator=generator,
-        names=names,
-        allowance=allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=share),
-        report=report,
-    )
-    return refits_of(experiment, step, window, ranking, spacing, generator, say), share
+    window, afar, ranking = ranked(experiment, step, spacing, generator, names=names, report=report)
+    found = refits_of(experiment, step, window, ranking, spacing, generator, say, afar=afar)
+    return found, window[0]
