@@ -323,6 +323,14 @@ def test_a_place_that_cannot_be_written_to_is_named(command: object, elastic: Pa
     assert place.read_text() == "mine"
 
 
+def test_compare_tells_how_much_is_done(elastic: Path, tmp_path: Path) -> None:
+    code, _, err = call(compare.main, elastic, "--out", tmp_path)
+    lines = [line for line in err.splitlines() if "] predicting " in line]
+    assert code == 0 and lines[0].startswith("[  0 %,")
+    shares = [int(line[1:4]) for line in lines]
+    assert shares == [100 * k // len(lines) for k in range(len(lines))]
+
+
 def test_what_a_run_leaves_out_is_an_effect_of_what_it_is_extended_from(
     elastic: Path, tmp_path: Path
 ) -> None:

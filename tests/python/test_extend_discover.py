@@ -727,7 +727,10 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (0.25, solution_of(plain_belief(), evaluation_of(1e6)))
     ranking = ranking_of(*entries, misfit=10.0)
-    found = refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+    said: list[str] = []
+    found = refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, said.append)
+    begun = [line.split(",")[0] for line in said if line.startswith("refits begun")]
+    assert begun == ["refits begun: 33% done", "refits begun: 67% done"]
     order = list(chi_squares)
     assert brought == [order[:front], *([] if pays else [order[front : front + 3]])]
     assert [r.entry.effect for r in found if r.pays][0] == ("frame_drift" if pays else "base_motion")

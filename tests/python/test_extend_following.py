@@ -63,6 +63,8 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
     assert bounds["mass_damping", 1.0] == following.BEHIND * 100.0
     few = [item for item in begun if item[1].effect in ("viscosity", "air_drag", "wind")]
     assert any("air_drag" in line and "50%" in line and "sigma" in line for line in lines)
+    told = [line for line in lines if line.startswith("followed onward: ")]
+    assert told and all("% done, about " in line for line in told)
     # So many go on whatever they leave.
     assert len(followed_onward(experiment, 0.25, few, SPACING, lines.append)) == 3
 

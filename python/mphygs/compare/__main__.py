@@ -55,11 +55,10 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
     wanted = chosen_names(experiment, names(options.sequences))
-    frames = [max(experiment.capture.sequence(name).frames, 1) for name in experiment.compared_names(wanted)]
-    begun = itertools.count()
+    count, begun = len(experiment.compared_names(wanted)), itertools.count()
 
     def predicting(text: str) -> None:
-        console.progress(sum(frames[: next(begun)]) / sum(frames), text)
+        console.progress(next(begun) / count, text)
 
     compared = experiment.compare(
         belief, state.settings.spacing, names=wanted, refine=True, report=predicting
