@@ -12,6 +12,7 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, entry_of, recorded
 from mphygs.diagnose import rank as ranking
 from mphygs.diagnose.candidates import (
+    LATE_PLACES,
     SINCE_THE_START,
     late_ways,
     mass_way,
@@ -56,9 +57,9 @@ def ranked(truth: Belief, *, names: tuple[str, ...] | None = None) -> tuple[Entr
 
 def test_what_acts_since_the_first_frame_is_a_candidate_where_the_shape_bears_a_load() -> None:
     predictor, belief = resting()
-    ways = late_ways(belief, predictor.body)
+    ways, blocks = late_ways(belief, predictor.body), predictor.body.free_block_count
     assert [way.effect for way in ways] == (
-        ["gravity"] + 6 * ["wind"] + 8 * ["attached_mass"] + 3 * ["tether"]
+        ["gravity"] + 6 * ["wind"] + min(LATE_PLACES, blocks) * ["attached_mass"] + 3 * ["tether"]
     )
     for way in ways:
         assert way.label.endswith(SINCE_THE_START)
@@ -120,6 +121,13 @@ def test_a_load_that_came_after_the_scan_is_named_with_that(name: str, values: d
     assert found.expected_ratio < 1.5
     for key, value in values.items():
         assert found.estimate[key] == pytest.approx(value, rel=0.3)
+    # A mass is begun from the next best places too, each once.
+    starts = [np.array(start.term(name).settings.get("place", 0.0)) for start in (found.start, *found.others)]
+    assert len(starts) == (1 + ranking.ELSEWHERE if place else 1)
+    assert all(start.term(name).settings["at_rest"] is False for start in found.others)
+    if place:
+        apart = np.linalg.norm(np.array(starts)[:, None] - np.array(starts), axis=-1)
+        assert np.all(apart[~np.eye(len(starts), dtype=bool)] > 1e-4)
 
 
 def test_late_loads_are_not_tried_where_the_first_frames_are_right(monkeypatch: pytest.MonkeyPatch) -> None:

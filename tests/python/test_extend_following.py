@@ -43,6 +43,7 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
         return SimpleNamespace(belief=belief, evaluation=evaluation_of(courses[belief][share]))
 
     monkeypatch.setattr(following, "fit_what_sets_in", fit)
+    monkeypatch.setattr(following, "movable", lambda _belief: ())
     experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
     begun = [
         (
@@ -119,7 +120,7 @@ def test_from_afar_places_are_fitted_of_all_that_are_not_far_behind(monkeypatch:
             raise SimulationError("unstable")
         return solution_of(fit.belief, evaluation_of(50.0))
 
-    monkeypatch.setattr(following, "relocated", relocated)
+    monkeypatch.setattr(following, "relocated_anywhere", relocated)
     experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
     # The best, another one, one without a place, one at six times the best, one that is far behind.
     left = [(100.0, there), (140.0, there), (150.0, nowhere), (600.0, there), (601.0, there)]
@@ -128,3 +129,28 @@ def test_from_afar_places_are_fitted_of_all_that_are_not_far_behind(monkeypatch:
     assert [id(fit) for fit in asked] == [id(begun[k][2]) for k in (0, 1, 3)]
     assert [chi for chi, _, _ in found] == pytest.approx([50.0, 140.0, 150.0, 50.0, 601.0])
     assert found[3][1] is begun[3][1] and found[3][2] is not begun[3][2]
+
+
+@pytest.mark.parametrize(("misfit", "asked"), [(1.2, [0.5]), (1.01, []), (1.6, [])])
+def test_a_place_is_fitted_again_on_the_way_where_more_frames_leave_more_than_noise(
+    misfit: float, asked: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    belief = plain_belief().with_effect("attached_mass", {"m": 1e-3}, {"place": [0.0, 0.0, 0.01]})
+    there = solution_of(belief, evaluation_of(40.0))
+    again: list[float] = []
+
+    def fit(_share: float, start: Belief, **_: object) -> Solution:
+        evaluation = evaluation_of(100.0)
+        return solution_of(start, evaluation_of(misfit**2 * evaluation.data_rows))
+
+    def relocated(share: float, _fit: Solution, **_: object) -> Solution:
+        again.append(share)
+        return there
+
+    monkeypatch.setattr(following, "fit_what_sets_in", fit)
+    monkeypatch.setattr(following, "relocated_anywhere", relocated)
+    experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
+    begun = [(100.0, entry_of("attached_mass", 1e4), there)]
+    followed_onward(experiment, 0.25, begun, SPACING, lambda _text: None)
+    # On all frames it is once its refit is finished.
+    assert again == asked

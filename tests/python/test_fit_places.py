@@ -102,7 +102,7 @@ def test_the_middle_of_the_material_around_is_tried_as_well(
         size = 0.5 if (len(walked) == 2) is better else 2.0
         return replace(found, evaluation=replace(found.evaluation, residual=np.full(4, size)))
 
-    monkeypatch.setattr(places, "_walked", stay)
+    monkeypatch.setattr(places, "walked", stay)
     end = relocated(problem, solution)
     first, second = walked
     assert np.array_equal(first, corner)

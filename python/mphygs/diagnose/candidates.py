@@ -18,7 +18,9 @@ from mphygs.simulate.settings import impossible_effects
 # Relaxation times [s] whose tangents are tried; the refit moves on from the best.
 RELAXATION_TIMES = (0.02, 0.1, 0.5)
 GRADIENTS = ("stiffness_gradient", "density_gradient")
-PLACES = 8
+# Places of a point mass that the published shape bears, and of one that came later: it leans the object at
+# once, which a heavier one nearer to the axis does nearly as well, and other materials.
+PLACES, LATE_PLACES = 8, 48
 TETHER_PLACES = 3
 # A tether's stiffness is told by an estimate of so many standard deviations; else it is tried with so many
 # times that at which its pull comes from as far as the object is large. Never slacker than the last [N/m].
@@ -151,7 +153,7 @@ def late_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = None)
     if "wind" in wanted:
         ways += _wind_ways(belief, late=True)
     if "attached_mass" in wanted:
-        places, digits = spread_places(body, PLACES), place_digits(body)
+        places, digits = spread_places(body, LATE_PLACES), place_digits(body)
         ways += [mass_way(belief, place, digits, late=True) for place in places]
     if "tether" in wanted:
         ways += _tether_ways(belief, body, late=True)

@@ -10,6 +10,7 @@ import numpy as np
 from mphygs.compare.allowance import Allowance
 from mphygs.compare.seen import mean_seen
 from mphygs.diagnose.candidates import (
+    LATE,
     Way,
     base_motion_ways,
     late_ways,
@@ -47,6 +48,8 @@ EARLY, EARLY_MISFIT = 0.16, 1.25
 # A trial of a smooth effect stands for it where its drop of chi^2 is this share of what tangents promise:
 # far from the data they promise much.
 TRIAL_WINS = 0.2
+# Of what a late mass promises at the best place: so many next best ones that promise as much are begun from.
+NEARLY_AS_MUCH, ELSEWHERE = 0.8, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +222,8 @@ def rank(
     entries = []
     for name, (way, score) in best.items():
         entry = _entry(name, way, score, table, family, names_of, belief, rows)
+        if name == "attached_mass" and LATE.items() <= way.settings.items():
+            entry = replace(entry, others=_elsewhere(way, score, ways, table, belief))
         entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
     if trials:
         tried = _trials(
@@ -229,6 +234,19 @@ def rank(
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
     chi_square = float(residual @ residual)
     return Ranking(tuple(entries), chi_square, rows, table, decoys, decoy_statistic)
+
+
+def _elsewhere(
+    best: Way, score: Score, ways: Sequence[Way], table: ScoreTable, belief: Belief
+) -> tuple[Belief, ...]:
+    """Starts of an effect in its next best ways that promise nearly as much as the best one."""
+    rest = [
+        (other.drop, way, other)
+        for way, other in zip(ways, table.scores, strict=True)
+        if way is not best and way.effect == best.effect and way.settings.keys() == best.settings.keys()
+    ]
+    near = sorted((item for item in rest if item[0] > NEARLY_AS_MUCH * score.drop), key=lambda item: -item[0])
+    return tuple(starting_effect(way, other.estimate, belief) for _, way, other in near[:ELSEWHERE])
 
 
 def _with_trials(entries: Sequence[Entry], trials: Sequence[Entry]) -> list[Entry]:

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mphygs.diagnose.rank import Entry
+from mphygs.extend.elsewhere import AT_NOISE, relocated_anywhere
 from mphygs.extend.met_again import onward
 from mphygs.extend.setting_in import fit_what_sets_in
 from mphygs.extend.settle import ALIKE
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.places import movable, relocated
+from mphygs.fit.places import movable
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
 
@@ -30,6 +31,9 @@ ASTRAY, NOISE = 10.0, 0.1
 # One that leaves so many times the best one's chi^2 once it was followed onward is not brought to the end;
 # one whose place is not fitted yet may leave more.
 BEHIND, MISPLACED = 3.0, 6.0
+# On the way a place is fitted again where it leaves more than noise and less than so much [sigma], as a wrong
+# effect does.
+MISLED = 1.5
 
 
 def at_their_places(
@@ -48,7 +52,7 @@ def at_their_places(
         if chi_square > MISPLACED * best or not movable(fit.belief):
             return item
         try:
-            fit = relocated(own.window(spacing, share), fit, report=say)
+            fit = relocated_anywhere(own.window(spacing, share), fit, report=say)
         except SimulationError:
             return item
         return fit.evaluation.chi_square, entry, fit
@@ -123,9 +127,14 @@ def followed_onward(
             ) -> Solution | None:
                 problem = own.window(spacing, reach)
                 try:
-                    return fit_what_sets_in(problem, item[1].belief, hopeless=hopeless)
+                    fit = fit_what_sets_in(problem, item[1].belief, hopeless=hopeless)
+                    # More frames tell more of where it sits.
+                    off = AT_NOISE < fit.evaluation.misfit < MISLED
+                    if off and reach < 1.0 and movable(fit.belief):
+                        fit = relocated_anywhere(problem, fit, report=say)
                 except SimulationError:
                     return None
+                return fit
 
             for (entry, _, plan), fit in zip(wave, side_by_side(experiment, follow, wave), strict=True):
                 if fit is None:

@@ -117,7 +117,7 @@ def relocated(
     of the fit of all else at each new place; relative_tolerance: as for `minimise`. Raises SimulationError.
     """
     for name in movable(solution.belief):
-        found = _walked(problem, solution, name, columns_of, iterations, relative_tolerance, report)
+        found = walked(problem, solution, name, columns_of, iterations, relative_tolerance, report)
         inner = _deeper(problem, place_of(found.belief, name))
         try:
             other = minimise(
@@ -126,7 +126,7 @@ def relocated(
                 iterations=iterations,
                 relative_tolerance=relative_tolerance,
             )
-            other = _walked(problem, other, name, columns_of, iterations, relative_tolerance, report)
+            other = walked(problem, other, name, columns_of, iterations, relative_tolerance, report)
         except SimulationError:
             other = found
         solution = other if other.evaluation.cost < found.evaluation.cost else found
@@ -142,7 +142,7 @@ def _deeper(problem: Problem, place: np.ndarray) -> np.ndarray:
     return closest_material(problem.capture.parts, points[near].mean(0)[None]).anchor[0]
 
 
-def _walked(
+def walked(
     problem: Problem,
     solution: Solution,
     name: str,
