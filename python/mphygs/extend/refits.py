@@ -19,6 +19,7 @@ from mphygs.extend.following import (
     followed_onward,
     told_by_prediction,
 )
+from mphygs.extend.lent import with_lent_materials
 from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
 from mphygs.extend.settle import ALIKE, ALIKE_EXCESS, RIVAL
 from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, without_memory
@@ -132,6 +133,10 @@ def refits_of(
     begun = _with_limits(experiment, begun, ranking, window[0], spacing, say, iterations, accuracy)
     if afar:
         begun = at_their_places(experiment, begun, window[0], spacing, say)
+        begun = with_lent_materials(
+            experiment, begun, window[0], spacing, generator.spawn(1)[0], say,
+            iterations=iterations, accuracy=accuracy,
+        )  # fmt: skip
     begun.sort(key=lambda item: item[0])
 
     def finished(of: Sequence[Begun]) -> list[Refit]:
