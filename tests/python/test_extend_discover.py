@@ -897,15 +897,23 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
     monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
     monkeypatch.setattr(refits, "at_their_places", at_their_places)
     monkeypatch.setattr(refits, "_with_limits", with_limits)
+    lent: list[tuple[int, int, float]] = []
+
+    def with_lent(_e: object, begun: list, *_: object, iterations: int, accuracy: float) -> list:
+        lent.append((len(begun), iterations, accuracy))
+        return begun
+
+    monkeypatch.setattr(refits, "with_lent_materials", with_lent)
+    generator = np.random.default_rng(0)
     first = 1.0, solution_of(plain_belief(), evaluation_of(2e4))
     ranking = ranking_of(*(entry_of(name, 1e4) for name in chi_squares))
     refits_of(
-        ALONE, step_of(assessment_of(9.0)), first, ranking, SPACING, None, lambda _text: None, afar=afar
+        ALONE, step_of(assessment_of(9.0)), first, ranking, SPACING, generator, lambda _text: None, afar=afar
     )
     assert bounds == ([np.inf] * 3 if afar else [np.inf, np.inf, refits.HOPELESS * 400.0])
     far, near = (refits.FIRST_AFAR, refits.ACCURACY_AFAR), (refits.FIRST, refits.ACCURACY)
     assert allowed == [far if afar else near] * 3 and limits == allowed[:1]
-    assert placed == ([3] if afar else [])
+    assert placed == ([3] if afar else []) and lent == ([(3, *far)] if afar else [])
 
 
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])

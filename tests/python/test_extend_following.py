@@ -131,17 +131,20 @@ def test_from_afar_places_are_fitted_of_all_that_are_not_far_behind(monkeypatch:
     assert found[3][1] is begun[3][1] and found[3][2] is not begun[3][2]
 
 
-@pytest.mark.parametrize(("misfit", "asked"), [(1.2, [0.5]), (1.01, []), (1.6, [])])
+@pytest.mark.parametrize(
+    ("misfit", "beside", "asked"),
+    [(1.2, 1.3, [0.5]), (1.01, 1.3, []), (1.6, 1.3, []), (1.2, 1.0, [])],
+)
 def test_a_place_is_fitted_again_on_the_way_where_more_frames_leave_more_than_noise(
-    misfit: float, asked: list[float], monkeypatch: pytest.MonkeyPatch
+    misfit: float, beside: float, asked: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     belief = plain_belief().with_effect("attached_mass", {"m": 1e-3}, {"place": [0.0, 0.0, 0.01]})
     there = solution_of(belief, evaluation_of(40.0))
     again: list[float] = []
 
     def fit(_share: float, start: Belief, **_: object) -> Solution:
-        evaluation = evaluation_of(100.0)
-        return solution_of(start, evaluation_of(misfit**2 * evaluation.data_rows))
+        left = misfit if "attached_mass" in start.effects else beside
+        return solution_of(start, evaluation_of(100.0 * left**2))
 
     def relocated(share: float, _fit: Solution, **_: object) -> Solution:
         again.append(share)
@@ -150,7 +153,9 @@ def test_a_place_is_fitted_again_on_the_way_where_more_frames_leave_more_than_no
     monkeypatch.setattr(following, "fit_what_sets_in", fit)
     monkeypatch.setattr(following, "relocated_anywhere", relocated)
     experiment = SimpleNamespace(window=lambda spacing, share: share, settings=ALONE.settings)
-    begun = [(100.0, entry_of("attached_mass", 1e4), there)]
+    # More than are tried at once before it.
+    first = solution_of(plain_belief(), evaluation_of(40.0))
+    begun = [(90.0, entry_of("air_drag", 1e4), first)] * 8 + [(100.0, entry_of("attached_mass", 1e4), there)]
     followed_onward(experiment, 0.25, begun, SPACING, lambda _text: None)
     # On all frames it is once its refit is finished.
     assert again == asked

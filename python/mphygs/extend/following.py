@@ -118,19 +118,22 @@ def followed_onward(
             best = min((fit.evaluation.chi_square for _, fit, _ in there), default=np.inf)
             # Behind on the way is not behind in the end.
             hopeless = BEHIND * best if reach == 1.0 else np.inf
+            # Where another one is at noise no place makes up for an effect that is not.
+            settled = any(fit.evaluation.misfit < AT_NOISE for _, fit, _ in there)
 
             def follow(
                 own: Experiment,
                 item: tuple[Entry, Solution, list[float]],
                 reach: float = reach,
                 hopeless: float = hopeless,
+                settled: bool = settled,
             ) -> Solution | None:
                 problem = own.window(spacing, reach)
                 try:
                     fit = fit_what_sets_in(problem, item[1].belief, hopeless=hopeless)
                     # More frames tell more of where it sits.
                     off = AT_NOISE < fit.evaluation.misfit < MISLED
-                    if off and reach < 1.0 and movable(fit.belief):
+                    if off and not settled and reach < 1.0 and movable(fit.belief):
                         fit = relocated_anywhere(problem, fit, report=say)
                 except SimulationError:
                     return None
