@@ -79,6 +79,11 @@ def _elements(
     return Case(f"elements-{label}", group, kind, hidden, noise, simulator="finite-element")
 
 
+def _bricks(label: str, group: str, *hidden: str) -> Case:
+    """A bar of two materials whose truth comes from independent finite elements."""
+    return Case(f"bricks-{label}", group, "two-part-bar", hidden, simulator="finite-element")
+
+
 def _single(name: str, strengths: dict[str, str], kind: str = "two-part-bar") -> list[Case]:
     return [
         Case(f"{name}-{label}" if label else name, "single", kind, (f"{name}:{text}" if text else name,))
@@ -163,6 +168,22 @@ CASES: tuple[Case, ...] = (
     _elements("cubic_drag", "outside", "cubic_drag:c_3=22:part=head"),
     _elements("actuation", "outside", "actuation:amplitude=1000:f=2.6:part=stem"),
     _elements("point_field", "outside", "point_field:strength=0.003:x=0.06:y=0.02:z=0.1"),
+    _bricks("null", "null"),
+    _bricks("viscosity", "single", "viscosity:eta=50"),
+    _bricks("relaxation", "single", "relaxation"),
+    _bricks("mass_damping", "single", "mass_damping:alpha=1.5"),
+    _bricks("air_drag", "single", "air_drag:c_d=10"),
+    _bricks("wind", "single", "wind"),
+    _bricks("gravity", "single", "gravity:delta_g_y=1:delta_g_z=0.4"),
+    _bricks("attached_mass", "single", "attached_mass:m=1.5e-3"),
+    _bricks("tether", "single", "tether"),
+    _bricks("base_motion", "single", "base_motion"),
+    _bricks("eigenstrain", "single", "eigenstrain"),
+    _bricks("stiffening", "single", "stiffening"),
+    _bricks("contact", "single", "contact"),
+    _bricks("time_offset", "fault", "time_offset:offset=0.008"),
+    _bricks("point_field", "outside", "point_field:strength=0.01"),
+    _bricks("actuation", "outside", "actuation:amplitude=2000"),
 )
 
 

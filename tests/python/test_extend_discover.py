@@ -692,6 +692,51 @@ def test_near_the_floor_more_are_brought_to_the_end(fifth: float, worst: float, 
     assert refits._worth_the_end(begun, 6, finished) is (followed and worst == 1.0)
 
 
+@pytest.mark.parametrize(
+    ("left", "moves_to", "worst", "asked"),
+    [
+        # seven times as much beyond noise as the best one, and as little as that at another place
+        (134, 105, 1.2, True),
+        # more than three times what rivals may leave there,
+        (134, 140, 1.2, False),
+        # too much to come near by a place, or another one is at noise: no place is fitted
+        (210, 105, 1.2, False),
+        (134, 105, 1.0, False),
+    ],
+)
+def test_near_the_floor_who_is_behind_is_asked_again_at_its_place(
+    left: int, moves_to: int, worst: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """100 rows, of which the others leave 105 to 108 and pay."""
+    chi_squares = {"wind": 105, "fibre": 106, "gravity": 107, "air_drag": 108, "attached_mass": left}
+    finished: list[str] = []
+    heavy = plain_belief().with_effect("attached_mass", {"m": 1e-3}, {"place": [0.0, 0.0, 0.01]})
+
+    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+        belief = heavy if entry.effect == "attached_mass" else plain_belief()
+        return solution_of(belief, evaluation_of(float(chi_squares[entry.effect]), 100))
+
+    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> Refit:
+        finished.append(entry.effect)
+        return refit_of(gain=GainInterval(1.0, 0.5, 1.5, 10), drop=1e4, assessment=assessment_of(worst))
+
+    def at_their_places(_e: object, begun: list, share: float, *_: object) -> list:
+        assert share == 1.0 and all(entry.effect == "attached_mass" for _, entry, _ in begun)
+        return [(float(moves_to), entry, fit) for _, entry, fit in begun]
+
+    monkeypatch.setattr(refits, "start_refit", start_refit)
+    monkeypatch.setattr(refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(refits, "at_their_places", at_their_places)
+    monkeypatch.setattr(refits, "unabsorbed", lambda *_: 0.0)
+    entries = [entry_of(name, 1e4) for name in chi_squares]
+    window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
+    refits_of(
+        ALONE, step_of(assessment_of(5.0)), window, ranking_of(*entries, misfit=1.5), SPACING, None,
+        lambda _text: None,
+    )  # fmt: skip
+    assert finished == ["wind", "fibre", "gravity", "air_drag", *["attached_mass"] * asked]
+
+
 @pytest.mark.parametrize("pays", [True, False])
 @pytest.mark.parametrize("astray", [True, False])
 def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(

@@ -86,6 +86,32 @@ def test_a_place_is_found_from_two_cells_off(add: object) -> None:
     assert relocated(problem, end, relative_tolerance=1e-4).belief is end.belief
 
 
+def test_a_valley_is_followed_as_far_as_the_cost_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A valley along x whose floor is lowest 12 mm on: from a move of 1 mm and a step of 0.01 of the modulus'
+    logarithm, 2, 4 and 8 mm more are tried in turn, each from where the move ended."""
+    experiment, truth = scene(frames=8)
+    problem, name = experiment.problem(SPACING), "attached_mass"
+    here, lowest = np.array([0.02, 0.0125, 0.0125]), 0.032
+    asked: list[float] = []
+
+    def evaluate(belief: Belief, **_: object) -> object:
+        asked.append(float(place_of(belief, name)[0]))
+        return replace(known, residual=np.full(4, 1.0 + abs(asked[-1] - lowest)))
+
+    known = problem.evaluate(truth)
+    before = moved(truth, name, here - [0.001, 0.0, 0.0])
+    reached = moved(truth.at(truth.coordinates + 0.01), name, here)
+    monkeypatch.setattr(problem, "evaluate", evaluate)
+    start = replace(known, residual=np.full(4, 1.0 + lowest - here[0]))
+    end = places._further(problem, before, Solution(reached, start, (), True, ""), name)
+    assert asked == pytest.approx([0.021, 0.022, 0.024, 0.028, 0.036])
+    assert place_of(end, name) == pytest.approx([0.028, 0.0125, 0.0125])
+    assert end.coordinates - reached.coordinates == pytest.approx(0.08)
+    # Where it falls no further, the place stays.
+    low = Solution(reached, replace(known, residual=np.full(4, 0.1)), (), True, "")
+    assert places._further(problem, before, low, name) is None
+
+
 @pytest.mark.parametrize("better", [True, False])
 def test_the_middle_of_the_material_around_is_tried_as_well(
     better: bool, monkeypatch: pytest.MonkeyPatch

@@ -34,6 +34,8 @@ BEHIND, MISPLACED = 3.0, 6.0
 # On the way a place is fitted again where it leaves more than noise and less than so much [sigma], as a wrong
 # effect does.
 MISLED = 1.5
+# What leaves less than so much there, on a coarse grid, is not misled.
+SETTLED = 1.05
 
 
 def at_their_places(
@@ -118,8 +120,9 @@ def followed_onward(
             best = min((fit.evaluation.chi_square for _, fit, _ in there), default=np.inf)
             # Behind on the way is not behind in the end.
             hopeless = BEHIND * best if reach == 1.0 else np.inf
-            # Where another one is at noise no place makes up for an effect that is not.
-            settled = any(fit.evaluation.misfit < AT_NOISE for _, fit, _ in there)
+            # Where another one is at noise, as far as a grid tells, no place makes up for an effect that is
+            # not.
+            settled = any(fit.evaluation.misfit < SETTLED for _, fit, _ in there)
 
             def follow(
                 own: Experiment,

@@ -27,6 +27,7 @@ from mphygs.extend.step import Step
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.places import movable
 from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
@@ -53,6 +54,8 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
 # Unless one that promised hardly more comes near: then tangents promise too little. This share is as much.
 AS_MUCH = 0.9
+# Near the floor an effect whose place is not fitted yet may leave so many times as much beyond noise.
+MISPLACED_BEYOND = 10.0
 # An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
 # followed.
 HOPELESS = 10.0
@@ -260,15 +263,8 @@ def _finished(
 ) -> list[Refit]:
     """The refits that are closest, brought to the end. begun: chi^2, entry and fit, the best first."""
     finished: list[Refit] = []
-    for number, (chi_square, entry, solution) in enumerate(begun):
-        # What the coarse grid has of its own may put the true effect a little behind.
-        # Only one that pays ends the search.
-        behind = ALIKE if near and any(r.pays for r in finished) else BEHIND
-        if near and number >= FINISHED:
-            if not _worth_the_end(begun, number, finished):
-                break
-        elif chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]:
-            break
+
+    def finish(entry: Entry, solution: Solution) -> None:
         result = finish_refit(
             experiment,
             current.solution,
@@ -288,7 +284,40 @@ def _finished(
                 f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma "
                 "in the worst range"
             )
+
+    rest: Sequence[Begun] = ()
+    for number, (chi_square, entry, solution) in enumerate(begun):
+        # What the coarse grid has of its own may put the true effect a little behind.
+        # Only one that pays ends the search.
+        behind = ALIKE if near and any(r.pays for r in finished) else BEHIND
+        if near and number >= FINISHED:
+            ends = not _worth_the_end(begun, number, finished)
+        else:
+            ends = chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]
+        if ends:
+            rest = begun[number:]
+            break
+        finish(entry, solution)
+    if near and rest and not any(_at_noise(r) for r in finished):
+        for _, entry, solution in _put_right(experiment, begun, rest, spacing, say):
+            finish(entry, solution)
     return finished
+
+
+def _put_right(
+    experiment: Experiment,
+    begun: Sequence[Begun],
+    rest: Sequence[Begun],
+    spacing: float,
+    say: Callable[[str], None],
+) -> list[Begun]:
+    """Of refits that are too far behind the best to be brought to the end, those that are not once their
+    place is fitted: a place is proposed from a few, half a cell from its own or more."""
+    rows = begun[0][2].evaluation.data_rows
+    least = max(begun[0][0] - rows, ALIKE_EXCESS * rows)
+    near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
+    placed = at_their_places(experiment, near, 1.0, spacing, say)
+    return [item for item in placed if item[0] - rows <= BEHIND * least]
 
 
 def _worth_the_end(
