@@ -155,6 +155,7 @@ def test_a_refit_begins_at_the_strength_that_fits_best(
 def test_a_refit_that_still_falls_goes_on(
     costs: list[float], asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(refit, "_promised", lambda _solution: 0.0)
     _, before, usual, _ = scene()
     evaluation, left, seen = before.evaluation, costs[1:], []
 
@@ -172,6 +173,28 @@ def test_a_refit_that_still_falls_goes_on(
     assert found is not None and len(seen) == 1 + asked and set(seen) == {1}
     made = len(costs) - len(left)
     assert found.history[-1] == costs[made - 1] and f"after {made} iterations" in said[0]
+
+
+@pytest.mark.parametrize(("promised", "asked"), [(0.35, True), (0.25, False)])
+def test_a_refit_goes_on_where_the_next_iteration_promises_much(
+    promised: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """promised: share of the cost, of which the last iteration had brought a twentieth."""
+    _, before, usual, _ = scene()
+    seen: list[int] = []
+
+    def further(_problem: object, belief: Belief, *, iterations: int, **_: object) -> Solution:
+        seen.append(iterations)
+        return Solution(belief, before.evaluation, (95.0, 20.0), True, "converged")
+
+    monkeypatch.setattr(refit, "promise", lambda *_: promised * 95.0)
+    monkeypatch.setattr(refit, "minimise", further)
+    last = Solution(usual.start, before.evaluation, (100.0, 95.0), False, "iterations used up")
+    assert (refit._further(None, last, 1e-3) is not None) is asked
+    assert seen == [1] * asked
+    # Without a Jacobian nothing is promised.
+    blind = replace(before.evaluation, jacobian=np.zeros_like(before.evaluation.jacobian))
+    assert refit._further(None, replace(last, evaluation=blind), 1e-3) is None
 
 
 @pytest.mark.parametrize(

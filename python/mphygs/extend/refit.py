@@ -17,7 +17,7 @@ from mphygs.extend.known_slopes import approached_from
 from mphygs.extend.setting_in import placed
 from mphygs.fit.anew import fitted_anew
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, told
+from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, promise, told
 from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief, Parameter
@@ -31,8 +31,9 @@ MOSTLY_EXPLAINED = 0.25
 # Of a wall or of yielding: so little left is asked further even where unseen frames do not gain.
 NEARLY_ALL = 0.1
 STRENGTHS = (0.5, 1.0, 2.0)
-# A refit that is begun goes on for so many more iterations as long as each leaves less than this share: a
-# viscosity, say, goes to its strength in stages, for no step may shorten the substep much.
+# A refit that is begun goes on for so many more iterations as long as each leaves less than this share, or
+# the next promises to: a viscosity, say, goes to its strength in stages, for no step may shorten the substep
+# much, and a relaxation may stand for an iteration before it finds its time.
 FALLING, MORE = 0.7, 4
 # Of the substep without the effect: no refit starts with less.
 SHORTEST_SUBSTEP = 0.3
@@ -194,15 +195,23 @@ def _falling(
 
 
 def _further(problem: Problem, solution: Solution, accuracy: float) -> Solution | None:
-    """One more iteration where the last one brought much and another can be made."""
+    """One more iteration where the last one brought much or the next promises to, and one can be made."""
     costs = solution.history[-2:]
-    if solution.converged or len(costs) < 2 or costs[1] > FALLING * costs[0]:
+    if solution.converged or len(costs) < 2:
+        return None
+    if costs[1] > FALLING * costs[0] and costs[1] - _promised(solution) > FALLING * costs[1]:
         return None
     try:
         further = minimise(problem, solution.belief, iterations=1, relative_tolerance=accuracy)
     except SimulationError:
         return None
     return further if len(further.history) > 1 else None
+
+
+def _promised(solution: Solution) -> float:
+    """The fall of the cost that another iteration promises; none where there is no Jacobian to tell."""
+    jacobian = solution.evaluation.jacobian
+    return promise(solution.belief, solution.evaluation) if np.any(jacobian) else 0.0
 
 
 def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) -> Belief | None:
