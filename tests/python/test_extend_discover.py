@@ -720,18 +720,19 @@ def test_near_the_floor_who_is_behind_is_asked_again_at_its_place(
         finished.append(entry.effect)
         return refit_of(gain=GainInterval(1.0, 0.5, 1.5, 10), drop=1e4, assessment=assessment_of(worst))
 
-    def at_their_places(_e: object, begun: list, share: float, *_: object) -> list:
-        assert share == 1.0 and all(entry.effect == "attached_mass" for _, entry, _ in begun)
-        return [(float(moves_to), entry, fit) for _, entry, fit in begun]
+    def relocated(_problem: object, fit: Solution, **_: object) -> Solution:
+        assert "attached_mass" in fit.belief.effects
+        return replace(fit, evaluation=evaluation_of(float(moves_to), 100))
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
     monkeypatch.setattr(refits, "finish_refit", finish_refit)
-    monkeypatch.setattr(refits, "at_their_places", at_their_places)
+    monkeypatch.setattr(refits, "relocated", relocated)
     monkeypatch.setattr(refits, "unabsorbed", lambda *_: 0.0)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
+    alone = SimpleNamespace(settings=ALONE.settings, problem=lambda _spacing: None)
     refits_of(
-        ALONE, step_of(assessment_of(5.0)), window, ranking_of(*entries, misfit=1.5), SPACING, None,
+        alone, step_of(assessment_of(5.0)), window, ranking_of(*entries, misfit=1.5), SPACING, None,
         lambda _text: None,
     )  # fmt: skip
     assert finished == ["wind", "fibre", "gravity", "air_drag", *["attached_mass"] * asked]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from mphygs.extend.step import Step
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.places import movable
+from mphygs.fit.places import movable, relocated
 from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
@@ -316,7 +317,14 @@ def _put_right(
     rows = begun[0][2].evaluation.data_rows
     least = max(begun[0][0] - rows, ALIKE_EXCESS * rows)
     near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
-    placed = at_their_places(experiment, near, 1.0, spacing, say)
+
+    def relocate(own: Experiment, item: Begun) -> Begun:
+        _, entry, fit = item
+        with suppress(SimulationError):
+            fit = relocated(own.problem(spacing), fit, report=say)
+        return fit.evaluation.chi_square, entry, fit
+
+    placed = side_by_side(experiment, relocate, near)
     return [item for item in placed if item[0] - rows <= BEHIND * least]
 
 
