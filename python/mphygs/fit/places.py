@@ -32,7 +32,7 @@ AROUND = 3.0
 # Settings of a place that was fitted; of the object's size, the standard deviation from which it is not
 # determined.
 CONCLUDED, ANYWHERE = ("place_std", "place_determined"), 0.25
-# Of any coordinate of the materials that gives way to the move.
+# Of any logarithm, a material's say, that gives way to the move.
 LONGEST_COORDINATE = 1.0
 
 
@@ -176,6 +176,11 @@ def walked(
     return solution
 
 
+def _largest(belief: Belief, step: np.ndarray) -> float:
+    """Of a step of the coordinates (P,), the largest of a logarithm."""
+    return float(np.abs(step[[p.log for p in belief.free]]).max(initial=0.0))
+
+
 def _further(problem: Problem, before: Belief, reached: Solution, name: str) -> Belief | None:
     """The belief so many times as far along a move of the place, twice as far each time, as the cost falls;
     None where it does not. Where a valley bends, steps by the derivative are short, and its floor is straight
@@ -185,7 +190,7 @@ def _further(problem: Problem, before: Belief, reached: Solution, name: str) -> 
     shift = here - place_of(before, name)
     best, cost, times = None, reached.evaluation.cost, 1.0
     while times * np.linalg.norm(shift) < LONGEST * problem.settings.spacing:
-        if times * np.abs(step).max(initial=0.0) > LONGEST_COORDINATE:
+        if times * _largest(reached.belief, step) > LONGEST_COORDINATE:
             break
         place = closest_material(problem.capture.parts, (here + times * shift)[None]).anchor[0]
         trial = moved(reached.belief.at(coordinates + times * step), name, place)
@@ -214,7 +219,7 @@ def _step(
     p = evaluation.jacobian.shape[1]
     shift = step[p:] @ found.moves
     length = float(np.linalg.norm(shift)) / (LONGEST * problem.settings.spacing)
-    step /= max(1.0, length, np.abs(step[:p]).max(initial=0.0) / LONGEST_COORDINATE)
+    step /= max(1.0, length, _largest(belief, step[:p]) / LONGEST_COORDINATE)
     promised = -(both.T @ evaluation.residual) @ step - 0.5 * step @ (both.T @ (both @ step))
     if promised < WORTH + relative_tolerance * evaluation.cost:
         return None
