@@ -693,22 +693,25 @@ def test_near_the_floor_more_are_brought_to_the_end(fifth: float, worst: float, 
 
 
 @pytest.mark.parametrize(
-    ("left", "moves_to", "worst", "asked"),
+    ("best", "left", "moves_to", "worst", "asked"),
     [
         # seven times as much beyond noise as the best one, and as little as that at another place
-        (134, 105, 1.2, True),
+        (105, 134, 105, 1.2, True),
         # more than three times what rivals may leave there,
-        (134, 140, 1.2, False),
-        # too much to come near by a place, or another one is at noise: no place is fitted
-        (210, 105, 1.2, False),
-        (134, 105, 1.0, False),
+        (105, 134, 140, 1.2, False),
+        # too much to come near by a place, or another one is at noise, or even the best one leaves more than
+        # rivals may: no place is fitted
+        (105, 210, 105, 1.2, False),
+        (105, 134, 105, 1.0, False),
+        (111, 190, 105, 1.2, False),
     ],
 )
 def test_near_the_floor_who_is_behind_is_asked_again_at_its_place(
-    left: int, moves_to: int, worst: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+    best: int, left: int, moves_to: int, worst: float, asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """100 rows, of which the others leave 105 to 108 and pay."""
-    chi_squares = {"wind": 105, "fibre": 106, "gravity": 107, "air_drag": 108, "attached_mass": left}
+    """100 rows, of which the others leave 5 to 14 too much and pay."""
+    chi_squares = {"wind": best, "fibre": best + 1, "gravity": best + 2, "air_drag": best + 3}
+    chi_squares["attached_mass"] = left
     finished: list[str] = []
     heavy = plain_belief().with_effect("attached_mass", {"m": 1e-3}, {"place": [0.0, 0.0, 0.01]})
 

@@ -55,7 +55,8 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
 # Unless one that promised hardly more comes near: then tangents promise too little. This share is as much.
 AS_MUCH = 0.9
-# Near the floor an effect whose place is not fitted yet may leave so many times as much beyond noise.
+# Where the best one is at the floor, an effect whose place is not fitted yet may leave so many times as much
+# beyond noise as rivals may.
 MISPLACED_BEYOND = 10.0
 # An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
 # followed.
@@ -313,9 +314,12 @@ def _put_right(
     say: Callable[[str], None],
 ) -> list[Begun]:
     """Of refits that are too far behind the best to be brought to the end, those that are not once their
-    place is fitted: a place is proposed from a few, half a cell from its own or more."""
+    place is fitted: a place is proposed from a few, half a cell from its own or more. None where even the
+    best leaves more than rivals may."""
     rows = begun[0][2].evaluation.data_rows
-    least = max(begun[0][0] - rows, ALIKE_EXCESS * rows)
+    least = ALIKE_EXCESS * rows
+    if begun[0][0] - rows > least:
+        return []
     near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
 
     def relocate(own: Experiment, item: Begun) -> Begun:
