@@ -112,6 +112,15 @@ def test_a_valley_is_followed_as_far_as_the_cost_falls(monkeypatch: pytest.Monke
     assert places._further(problem, before, low, name) is None
 
 
+def test_steps_of_a_place_are_held_by_logarithms_alone() -> None:
+    """A far anchor goes along with a place by many of its scale; a modulus may not."""
+    _, truth = scene(with_tether, frames=8)
+    log = np.array([p.log for p in truth.free])
+    assert log.any() and not log.all()
+    assert places._largest(truth, np.where(log, 0.2, 50.0)) == pytest.approx(0.2)
+    assert places._largest(truth, np.where(log, -3.0, 0.0)) == pytest.approx(3.0)
+
+
 @pytest.mark.parametrize("better", [True, False])
 def test_the_middle_of_the_material_around_is_tried_as_well(
     better: bool, monkeypatch: pytest.MonkeyPatch
