@@ -9,6 +9,26 @@ namespace {
 
 using namespace mphygs;
 
+/// Of each direction None, or (names of effects, parameters of all effects).
+template <class T>
+std::vector<Added<T>> to_added(const py::list& list) {
+    std::vector<Added<T>> all(list.size());
+    for (std::size_t i = 0; i < all.size(); ++i) {
+        if (!list[i].is_none()) {
+            const auto pair = list[i].cast<py::tuple>();
+            all[i] = {to_active(pair[0].cast<py::list>()), to_vector<T>(pair[1].cast<Array<T>>())};
+            for (int e = 0; e < Registry::count; ++e) {
+                const Site site = Registry::infos[e]->site;
+                if (all[i].active[static_cast<std::size_t>(e)] && site != Site::volume && site != Site::surface && site != Site::body) {
+                    throw py::value_error(std::string("effect '") + Registry::infos[e]->name +
+                                          "' acts at a place or a hold: expected one of the volume, the surface or the body");
+                }
+            }
+        }
+    }
+    return all;
+}
+
 template <class T>
 void bind(py::module_& m, const char* name) {
     using Model = TotalLagrangian<T>;
@@ -65,10 +85,11 @@ void bind(py::module_& m, const char* name) {
              py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none(), py::arg("hook") = py::none())
         .def("tangent",
              [](const Model& self, const py::dict& fields, const py::list& directions, const py::dict& schedule,
-                const py::object& progress, const py::object& hook) {
+                const py::object& progress, const py::object& hook, const py::list& added) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
                  const PointHook<T> h = to_hook<T>(hook);
+                 const std::vector<Added<T>> a = to_added<T>(added);
                  std::vector<Fields<T>> d;
                  for (const auto& item : directions) {
                      d.push_back(to_fields<T>(item.cast<py::dict>()));
@@ -77,7 +98,7 @@ void bind(py::module_& m, const char* name) {
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.tangent(f, d, s, p, hook.is_none() ? nullptr : &h);
+                     t = self.tangent(f, d, s, p, hook.is_none() ? nullptr : &h, a);
                  }
                  py::list out;
                  for (auto& x : t) {
@@ -86,7 +107,7 @@ void bind(py::module_& m, const char* name) {
                  return out;
              },
              py::arg("fields"), py::arg("directions"), py::arg("schedule"), py::arg("progress") = py::none(),
-             py::arg("hook") = py::none())
+             py::arg("hook") = py::none(), py::arg("added") = py::list())
         .def("adjoint",
              [](const Model& self, const py::dict& fields, const py::dict& schedule, const Array<T>& displacement_bar,
                 const Array<T>& velocity_bar, const py::object& progress, const py::object& hook) {

@@ -64,6 +64,24 @@ inline mphygs::Geometry to_geometry(const py::dict& d) {
     return g;
 }
 
+/// Which effects of the registry are named.
+inline std::vector<bool> to_active(const py::list& names) {
+    std::vector<bool> active(static_cast<std::size_t>(mphygs::Registry::count), false);
+    for (const auto& item : names) {
+        const auto name = item.cast<std::string>();
+        bool found = false;
+        for (std::size_t i = 0; i < active.size(); ++i) {
+            if (name == mphygs::Registry::infos[i]->name) {
+                active[i] = found = true;
+            }
+        }
+        if (!found) {
+            throw py::value_error("effect '" + name + "' is not one of this build's");
+        }
+    }
+    return active;
+}
+
 inline mphygs::Settings to_settings(const py::dict& d) {
     reject_unknown(d, {"law", "active", "threads", "memory_budget", "displacement_limit"}, "settings");
     mphygs::Settings s;
@@ -77,21 +95,7 @@ inline mphygs::Settings to_settings(const py::dict& d) {
             throw py::value_error("law '" + law + "': expected neo-hookean or fixed-corotated");
         }
     }
-    s.active.assign(static_cast<std::size_t>(mphygs::Registry::count), false);
-    if (d.contains("active")) {
-        for (const auto& item : d["active"]) {
-            const auto name = item.cast<std::string>();
-            bool found = false;
-            for (std::size_t i = 0; i < s.active.size(); ++i) {
-                if (name == mphygs::Registry::infos[i]->name) {
-                    s.active[i] = found = true;
-                }
-            }
-            if (!found) {
-                throw py::value_error("effect '" + name + "' is not one of this build's");
-            }
-        }
-    }
+    s.active = to_active(d.contains("active") ? py::list(d["active"]) : py::list());
     if (d.contains("threads")) {
         s.threads = d["threads"].cast<int>();
     }

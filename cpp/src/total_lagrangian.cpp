@@ -1,56 +1,11 @@
-// Rollouts of the total-Lagrangian transfer: values, tangents, adjoint, largest rates.
+// Rollouts of the total-Lagrangian transfer: values, adjoint, largest rates.
 #include <cmath>
 #include <sstream>
 
 #include "mphygs/transfers/total_lagrangian_reverse.hpp"
+#include "mphygs/transfers/total_lagrangian_rollout.hpp"
 
 namespace mphygs {
-
-namespace {
-
-template <class T, int K>
-std::vector<Trajectory<T>> roll(const TotalLagrangian<T>& model, const Inputs<T, K>& inputs, int wanted,
-                                const Schedule& schedule, const Progress& progress,
-                                const std::function<std::string(const std::vector<T>&, int, double, int*)>& describe) {
-    const std::size_t size = 3 * model.node_count();
-    const std::size_t frames = schedule.steps.size() + 1;
-    std::vector<Trajectory<T>> result(static_cast<std::size_t>(wanted) + 1);
-    for (auto& r : result) {
-        r.displacement.resize(frames * size);
-        r.velocity.resize(frames * size);
-    }
-    Team::run(model.settings().threads, [&](Team& team) {
-        TotalLagrangianRun<T, K> run(model, inputs, schedule, team);
-        const auto keep = [&](std::size_t frame) {
-            for (std::size_t l = 0; l < result.size(); ++l) {
-                run.output(static_cast<int>(l), &result[l].displacement[frame * size], &result[l].velocity[frame * size]);
-            }
-        };
-        keep(0);
-        int n = 0;
-        double time = schedule.start;
-        for (std::size_t f = 0; f + 1 < frames; ++f) {
-            for (int s = 0; s < schedule.steps[f]; ++s) {
-                run.step(n++, static_cast<int>(f), time + s * schedule.dt[f], schedule.dt[f]);
-            }
-            time += schedule.steps[f] * schedule.dt[f];
-            if (!run.finite()) {
-                int part = -1;
-                SimulationError error(describe(run.displacement(), static_cast<int>(f) + 1, time, &part));
-                error.frame = static_cast<int>(f) + 1;
-                error.part = part;
-                throw error;
-            }
-            keep(f + 1);
-            if (progress && !progress(static_cast<int>(f) + 1)) {
-                throw SimulationError("interrupted");
-            }
-        }
-    });
-    return result;
-}
-
-}  // namespace
 
 template <class T>
 std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>& fields) const {
@@ -64,60 +19,29 @@ std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>& fields) const {
 }
 
 template <class T>
+SimulationError TotalLagrangian<T>::failure(const std::vector<T>& u, int frame, double time) const {
+    int part = -1;
+    SimulationError error(describe_failure(u, 0, frame, time, &part));
+    error.frame = frame;
+    error.part = part;
+    return error;
+}
+
+template <class T>
 Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress,
                                            const PointHook<T>* hook) const {
     check(fields, schedule);
     Inputs<T, 0> inputs;
     inputs.primal = &fields;
     inputs.hook = hook;
-    const auto describe = [this](const std::vector<T>& u, int f, double t, int* p) { return describe_failure(u, 0, f, t, p); };
-    return std::move(roll<T, 0>(*this, inputs, 0, schedule, progress, describe)[0]);
-}
-
-template <class T>
-std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, const std::vector<Fields<T>>& directions,
-                                                       const Schedule& schedule, const Progress& progress,
-                                                       const PointHook<T>* hook) const {
-    check(fields, schedule);
-    for (const Fields<T>& d : directions) {
-        Fields<T> a = d, b = fields;
-        for (int i = 0; i < Fields<T>::count; ++i) {
-            if (!a.all()[static_cast<std::size_t>(i)]->empty() &&
-                a.all()[static_cast<std::size_t>(i)]->size() != b.all()[static_cast<std::size_t>(i)]->size()) {
-                throw std::invalid_argument(std::string("a direction's ") + Fields<T>::names[static_cast<std::size_t>(i)] +
-                                            " has another size than the value's");
-            }
-        }
-    }
-    const auto describe = [this](const std::vector<T>& u, int f, double t, int* p) { return describe_failure(u, 0, f, t, p); };
-    std::vector<Trajectory<T>> result;
-    std::size_t done = 0;
-    const auto batch = [&]<int K>(std::integral_constant<int, K>) {
-        Inputs<T, K> inputs;
-        inputs.primal = &fields;
-        inputs.hook = hook;
-        inputs.first_direction = static_cast<int>(done);
-        const std::size_t wanted = std::min<std::size_t>(K, directions.size() - done);
-        for (std::size_t k = 0; k < wanted; ++k) {
-            inputs.direction[k] = &directions[done + k];
-        }
-        auto part = roll<T, K>(*this, inputs, static_cast<int>(wanted), schedule, progress, describe);
-        for (std::size_t k = result.empty() ? 0 : 1; k < part.size(); ++k) {
-            result.push_back(std::move(part[k]));
-        }
-        done += wanted;
-    };
-    while (done < directions.size()) {
-        if (directions.size() - done > 4) {
-            batch(std::integral_constant<int, 8>{});
-        } else {
-            batch(std::integral_constant<int, 4>{});
-        }
-    }
-    if (result.empty()) {
-        result.push_back(simulate(fields, schedule, progress, hook));
-    }
-    return result;
+    const std::size_t size = 3 * node_count();
+    auto result = room<T>(1, (schedule.steps.size() + 1) * size);
+    Team::run(settings_.threads, [&](Team& team) {
+        TotalLagrangianRun<T, 0> run(*this, inputs, schedule, team);
+        const auto keep = [&](std::size_t f) { run.output(0, &result[0].displacement[f * size], &result[0].velocity[f * size]); };
+        roll(run, schedule, progress, keep, [&](int f, double time) { return failure(run.displacement(), f, time); });
+    });
+    return std::move(result[0]);
 }
 
 template <class T>
@@ -219,10 +143,9 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
 }
 
 #define MPHYGS_INSTANTIATE(T)                                                                                             \
+    template SimulationError TotalLagrangian<T>::failure(const std::vector<T>&, int, double) const;                       \
     template std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>&) const;                                        \
     template Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>&, const Schedule&, const Progress&, const PointHook<T>*) const; \
-    template std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>&, const std::vector<Fields<T>>&,      \
-                                                                    const Schedule&, const Progress&, const PointHook<T>*) const; \
     template Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>&, const Schedule&, const Trajectory<T>&, const Progress&, long*, \
                                                    const PointHook<T>*) const; \
     template std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>&) const;                                      \

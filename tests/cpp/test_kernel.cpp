@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "mphygs/transfers/spline_tables.hpp"
+#include "mphygs/transfers/direction_sums.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs {
@@ -150,36 +150,72 @@ TEST_P(Tables, ScatterIsTheTransposeOfGather) {
     }
 }
 
-TEST_P(Tables, TwoFieldsAtOnceAreEachOfThem) {
+template <class T, int L>
+void expect_directions_in_the_lanes(bool common) {
+    using W = Vector<T, L>;
+    constexpr std::size_t lanes = static_cast<std::size_t>(L), stride = Block::stride;
     test::Random random(7);
-    const BlockOf<float> b(random, GetParam());
-    constexpr std::size_t size = 3 * Block::stride;
-    const Mat3<PackPair> both = gather_gradient_pair(b.field.data(), size, Block::stride, b.rows, b.gradient);
-    Mat3<PackPair> stress;
-    Mat3<Pack<float>> one[2];
-    std::vector<float> sums[2], pair[2];
-    for (std::size_t k = 0; k < 2; ++k) {
-        const Mat3<Pack<float>> g = gather_gradient<float>(b.field.data() + k * size, Block::stride, b.rows, b.gradient);
-        for (int i = 0; i < 9; ++i) {
-            const Pack<float> half = k == 0 ? lower(both[i / 3][i % 3]) : upper(both[i / 3][i % 3]);
-            for (int q = 0; q < 8; ++q) {
-                EXPECT_NEAR(half[q], g[i / 3][i % 3][q], 1e-4);  // of slopes up to 20
-                one[k][i / 3][i % 3][q] = static_cast<float>(random.between(-1, 1));
+    BlockOf<T> b(random, common);
+    std::vector<W> field(3 * stride), sums(3 * stride, W{}), value_sums(3 * stride, W{});
+    for (W& x : field) {
+        for (std::size_t l = 0; l < lanes; ++l) {
+            x[l] = static_cast<T>(random.between(-1, 1));
+        }
+    }
+    W gradient[3][point_axes], stress[3][point_axes];
+    Vec3<W> value[lane_count], force[lane_count];
+    gather_directions<W, T>(field.data(), b.rows, b.gradient, gradient);
+    gather_direction_values<W, T>(field.data(), b.rows, b.value, value);
+    for (std::size_t c = 0; c < 3; ++c) {
+        for (std::size_t i = 0; i < point_axes; ++i) {
+            for (std::size_t l = 0; l < lanes; ++l) {
+                stress[c][i][l] = static_cast<T>(random.between(-1, 1));
+                force[i % lane_count][static_cast<int>(c)][l] = stress[c][i][l];
             }
         }
-        sums[k].assign(size, 0.0f);
-        pair[k].assign(size, 0.0f);
-        scatter_gradient<float>(one[k], sums[k].data(), Block::stride, b.rows, b.gradient);
     }
-    for (int i = 0; i < 9; ++i) {
-        stress[i / 3][i % 3] = join(one[0][i / 3][i % 3], one[1][i / 3][i % 3]);
+    scatter_directions<W, T>(stress, sums.data(), b.rows, b.gradient);
+    scatter_direction_values<W, T>(force, value_sums.data(), b.rows, b.value);
+    const T close = static_cast<T>(std::is_same_v<T, float> ? 1e-4 : 1e-11);  // of slopes up to 20
+    for (std::size_t l = 0; l < lanes; ++l) {
+        std::vector<T> alone(3 * stride), scattered(3 * stride, T{}), scattered_values(3 * stride, T{});
+        Mat3<Pack<T>> own;
+        Vec3<Pack<T>> own_force;
+        for (std::size_t n = 0; n < stride; ++n) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                alone[c * stride + n] = field[3 * n + c][l];
+            }
+        }
+        for (int i = 0; i < 9; ++i) {
+            for (int q = 0; q < lane_count; ++q) {
+                own[i / 3][i % 3][q] = stress[i / 3][i % 3 * lane_count + q][l];
+                own_force[i / 3][q] = force[q][i / 3][l];
+            }
+        }
+        const Mat3<Pack<T>> g = gather_gradient<T>(alone.data(), stride, b.rows, b.gradient);
+        const Vec3<Pack<T>> v = gather_value<T>(alone.data(), stride, b.rows, b.value);
+        scatter_gradient<T>(own, scattered.data(), stride, b.rows, b.gradient);
+        scatter_value<T>(own_force, scattered_values.data(), stride, b.rows, b.value);
+        for (int i = 0; i < 9; ++i) {
+            for (int q = 0; q < lane_count; ++q) {
+                EXPECT_NEAR(gradient[i / 3][i % 3 * lane_count + q][l], g[i / 3][i % 3][q], close);
+                EXPECT_NEAR(value[q][i / 3][l], v[i / 3][q], close);
+            }
+        }
+        for (std::size_t n = 0; n < stride; ++n) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                EXPECT_NEAR(sums[3 * n + c][l], scattered[c * stride + n], close);
+                EXPECT_NEAR(value_sums[3 * n + c][l], scattered_values[c * stride + n], close);
+            }
+        }
+        EXPECT_GT(*std::max_element(scattered.begin(), scattered.end()), T(1));
     }
-    scatter_gradient_pair(stress, pair[0].data(), pair[1].data(), Block::stride, b.rows, b.gradient);
-    for (std::size_t i = 0; i < size; ++i) {
-        EXPECT_NEAR(pair[0][i], sums[0][i], 1e-4);
-        EXPECT_NEAR(pair[1][i], sums[1][i], 1e-4);
-    }
-    EXPECT_GT(*std::max_element(sums[1].begin(), sums[1].end()), 1.0f);
+}
+
+TEST_P(Tables, DirectionsInTheLanesAreEachOfThem) {
+    expect_directions_in_the_lanes<float, 4>(GetParam());
+    expect_directions_in_the_lanes<float, register_lanes<float>>(GetParam());
+    expect_directions_in_the_lanes<double, register_lanes<double>>(GetParam());
 }
 
 }  // namespace

@@ -9,10 +9,12 @@ from bar_capture import bar_belief, bar_capture
 from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
 from mphygs.model.registry import effect
 from mphygs.simulate import prediction
-from mphygs.simulate.batches import DEAR, PAIR, Batch, batches_of
+from mphygs.simulate.batches import APART, DEAR, PAIR, Batch, batches_of
+from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 from mphygs.simulate.settings import TRANSFERS
+from mphygs.simulate.total_lagrangian import TotalLagrangian
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -36,10 +38,14 @@ def test_unlike_constants_of_one_effect_do_not_mix(workers: int) -> None:
     assert (np.abs(cosine - np.eye(4)) < 0.999).all()
 
 
-def test_dear_effects_do_not_burden_the_runs_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def shared_out(
+    monkeypatch: pytest.MonkeyPatch, transfer: str
+) -> tuple[list[tuple[object, object]], list[Batch]]:
+    """All smooth candidates of a bar, and the runs that their derivatives are shared out to."""
     capture = bar_capture(frames=4, fps=100.0, fit=(0, 4))
     belief = bar_belief(capture, youngs_modulus=6e4, free=())
-    predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float32"))
+    settings = Settings(0.01, workers=1, dtype="float32", transfer=transfer)
+    predictor = Predictor(capture, capture.sequences[0], settings)
     ways = smooth_ways(belief, predictor.body) + base_motion_ways(belief, [3.0, 9.0])
     columns = [pair for way in ways for pair in way.columns]
     found: list[Batch] = []
@@ -50,10 +56,19 @@ def test_dear_effects_do_not_burden_the_runs_of_others(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(prediction, "batches_of", batches)
     plain = predictor.predict(belief).position
-    assert np.array_equal(predictor.predict(belief, candidates=columns).position, plain)
+    together = predictor.predict(belief, candidates=columns).position
+    assert together == pytest.approx(plain, abs=1e-7)
+    if transfer == "total-lagrangian":
+        assert np.array_equal(together, plain)
     members = sorted(i for batch in found for i in batch.members)
-    moves = [i for i, (_, p) in enumerate(columns) if prediction.acts_in_simulation(p)]
+    moves = [pair for pair in columns if prediction.acts_in_simulation(pair[1])]
     assert members == list(range(len(moves))) and len(members) > 40
+    return moves, found
+
+
+def test_dear_effects_do_not_burden_the_runs_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, found = shared_out(monkeypatch, "mls")
+    assert not any(any(batch.apart) for batch in found)
     dear = [batch for batch in found if any(effect(name).site in DEAR for name in batch.active)]
     active = {name for batch in dear for name in batch.active}
     assert {"viscosity", "relaxation", "air_drag", "wind", "fibre"} <= active
@@ -61,10 +76,28 @@ def test_dear_effects_do_not_burden_the_runs_of_others(monkeypatch: pytest.Monke
     # Pairs of them; the others fill as few runs as there can be.
     assert all(len(batch.members) <= PAIR for batch in dear)
     light = [len(batch.members) for batch in found if batch not in dear]
-    assert len(light) == -(-sum(light) // 8) and max(light) <= 8
+    assert len(light) == -(-sum(light) // MaterialPoints.batch) and max(light) <= MaterialPoints.batch
     # Of winds along six axes no two can share a run: each is joined by what can be told beside it.
     winds = [batch for batch in dear if "wind" in batch.active]
     assert len(winds) == 6 and sum(len(batch.members) for batch in dear) > 1.8 * len(dear)
+
+
+def test_effects_that_are_kept_apart_share_as_few_runs_as_there_can_be(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    moves, found = shared_out(monkeypatch, "total-lagrangian")
+    sizes = [len(batch.members) for batch in found]
+    assert len(found) == -(-sum(sizes) // TotalLagrangian.batch) and max(sizes) <= TotalLagrangian.batch
+    apart: dict[str, int] = {}
+    for batch in found:
+        assert all(effect(name).site not in APART for name in batch.active)
+        for i, own in zip(batch.members, batch.apart, strict=True):
+            name = moves[i][1].key.split(".")[0]
+            assert own is None or own[0] == [name]
+            assert (own is not None) is (effect(name).site in APART), name
+            apart[name] = apart.get(name, 0) + (own is not None)
+    assert apart["wind"] == 6 and apart["relaxation"] == 3 and apart["base_motion"] == 12
+    assert apart["tether"] == apart["attached_mass"] == 0
 
 
 @pytest.mark.parametrize("rest", ["stress-free", "equilibrium"])
@@ -211,3 +244,22 @@ def test_the_rest_shape_is_asked_for_what_may_change_it(name: str, key: str) -> 
     assert shape.answers(owner, density) and changes[1] > 0.0
     assert shape.answers(owner, parameter) is (name == "gravity")
     assert bool(changes[0] > 0.0) is (name == "gravity")
+
+
+@pytest.mark.parametrize("name", ["gravity", "attached_mass", "tether", "wind", "density_gradient", "fibre"])
+def test_candidates_at_rest_share_the_solution_of_the_model_without_them(name: str) -> None:
+    capture = bar_capture(frames=4, fps=100.0, fit=(0, 4), rest="equilibrium")
+    belief = bar_belief(capture, youngs_modulus=6e4, free=("part0.density",), prestress="equilibrium")
+    predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float64"))
+    shape = predictor.rest_shape
+    ways = smooth_ways(belief, predictor.body, names=[name])
+    told = 0.0
+    for owner, parameter in ways[0].columns:
+        assert shape.rests_as(owner, belief) is (name != "fibre")
+        alone = shape.tangent(owner, [parameter])[0]
+        shared = shape.tangent(owner, [parameter], beside=belief)[0]
+        for key in ("deformation0", "volume_ratio"):
+            size = np.abs(alone[key]).max()
+            told = max(told, float(size))
+            assert shared[key] == pytest.approx(alone[key], abs=1e-6 * size + 1e-12)
+    assert told > 0.0

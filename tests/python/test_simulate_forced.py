@@ -88,7 +88,7 @@ def test_many_directions_are_those_of_each_alone(forced: ForcedSequence) -> None
     """More than the core carries at once: shared out to several runs, side by side where there are cores."""
     belief = soft_belief(forced.predictor.capture, free=FREE)
     shape = (8, forced.model(belief).node_count, 3)
-    forces = list(1e-3 * np.random.default_rng(1).standard_normal((11, *shape)))
+    forces = list(1e-3 * np.random.default_rng(1).standard_normal((19, *shape)))
     assert len(forces) > forced.predictor.transfer.batch
     motion = forced.run(belief, np.zeros(shape))
     alone = np.concatenate([forced.tangents(motion, [force]) for force in forces], axis=-1)

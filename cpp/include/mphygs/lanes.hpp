@@ -53,36 +53,6 @@ inline Mat3<P> get_lane(const Mat3<S>& m, int l) {
     return r;
 }
 
-/// Two directions in the halves of one register, the value twice.
-using PairScalar = Dual<PackPair, 1>;
-
-/// Directions l - 1 and l of a number (its lanes l and l + 1).
-template <int K>
-inline PackPair pair_lanes(const Dual<Pack<float>, K>& x, int l) {
-    return load_pair(reinterpret_cast<const float*>(&x.d[l - 1]));
-}
-template <int K>
-inline PairScalar pair_of(const Dual<Pack<float>, K>& x, int l) {
-    PairScalar r(join(x.v, x.v));
-    r.d[0] = pair_lanes(x, l);
-    return r;
-}
-template <int K>
-inline Mat3<PairScalar> pair_of(const Mat3<Dual<Pack<float>, K>>& m, int l) {
-    Mat3<PairScalar> r;
-    for (int i = 0; i < 9; ++i) {
-        r.e[i / 3][i % 3] = pair_of(m.e[i / 3][i % 3], l);
-    }
-    return r;
-}
-/// The same in the other direction: lanes l and l + 1, and the value.
-template <int K>
-inline void put_pair(Dual<Pack<float>, K>& x, int l, const PairScalar& pair) {
-    x.v = lower(pair.v);
-    x.d[l - 1] = lower(pair.d[0]);
-    x.d[l] = upper(pair.d[0]);
-}
-
 /// Primal inputs with up to K directions beside them.
 template <class T, int K>
 struct Inputs {

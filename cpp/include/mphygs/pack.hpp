@@ -10,10 +10,6 @@
 
 #include "mphygs/vector.hpp"
 
-#ifdef __AVX512F__
-#include <immintrin.h>
-#endif
-
 namespace mphygs {
 
 inline constexpr int lane_count = 8;
@@ -29,17 +25,13 @@ template <class V>
 struct ScalarOf {
     using type = V;
 };
-template <>
-struct ScalarOf<Pack<float>> {
-    using type = float;
+template <NativeVector V>
+struct ScalarOf<V> {
+    using type = typename VectorOf<V>::element;
 };
-template <>
-struct ScalarOf<Pack<double>> {
-    using type = double;
-};
-template <>
-struct ScalarOf<PackPair> {
-    using type = float;
+template <class H>
+struct ScalarOf<Halves<H>> {
+    using type = typename VectorOf<H>::element;
 };
 
 template <class T>
@@ -54,28 +46,6 @@ template <class T>
 inline Pack<T> broadcast(T x) {
     return fill<Pack<T>>(x);
 }
-#ifdef __AVX512F__
-// g++ 12 goes through memory where a shuffle changes the number of lanes, and waits for the store.
-inline PackPair join(Pack<float> low, Pack<float> high) {
-    const __m512d whole = _mm512_castps_pd(_mm512_castps256_ps512(reinterpret_cast<__m256>(low)));
-    return reinterpret_cast<PackPair>(_mm512_maskz_insertf64x4(0xff, whole, reinterpret_cast<__m256d>(high), 1));
-}
-/// Eight times one number, eight times another.
-inline PackPair broadcast_pair(const float* low, const float* high) {
-    return reinterpret_cast<PackPair>(_mm512_mask_broadcastss_ps(_mm512_set1_ps(*low), 0xff00, _mm_load_ss(high)));
-}
-inline Pack<float> upper(PackPair x) {
-    return reinterpret_cast<Pack<float>>(_mm512_maskz_extractf64x4_pd(0xf, reinterpret_cast<__m512d>(x), 1));
-}
-inline Pack<float> lower(PackPair x) {
-    return reinterpret_cast<Pack<float>>(_mm512_maskz_extractf64x4_pd(0xf, reinterpret_cast<__m512d>(x), 0));
-}
-#else
-inline PackPair join(Pack<float> low, Pack<float> high) { return {low, high}; }
-inline PackPair broadcast_pair(const float* low, const float* high) { return {broadcast(*low), broadcast(*high)}; }
-inline Pack<float> upper(const PackPair& x) { return x.high; }
-inline Pack<float> lower(const PackPair& x) { return x.low; }
-#endif
 inline PackPair load_pair(const float* p) { return read<PackPair>(p); }
 template <class T>
 inline T sum_lanes(Pack<T> v) {
@@ -112,9 +82,14 @@ MPHYGS_LANEWISE(sine)
 MPHYGS_LANEWISE(cosine)
 #undef MPHYGS_LANEWISE
 
-inline Pack<float> select(const PackMask<float>& m, const Pack<float>& a, const Pack<float>& b) { return choose(m, a, b); }
-inline Pack<double> select(const PackMask<double>& m, const Pack<double>& a, const Pack<double>& b) { return choose(m, a, b); }
-inline PackPair select(const VectorOf<PackPair>::mask& m, const PackPair& a, const PackPair& b) { return choose(m, a, b); }
+template <class M, NativeVector V>
+inline V select(const M& m, const V& a, const V& b) {
+    return choose(m, a, b);
+}
+template <class M, class H>
+inline Halves<H> select(const M& m, const Halves<H>& a, const Halves<H>& b) {
+    return choose(m, a, b);
+}
 
 // ln x = e ln 2 + 2 artanh((m - 1)/(m + 1)), x = m 2^e, m in [sqrt(1/2), sqrt(2)).
 // Not a number for x <= 0: an inverted element has no logarithmic strain.

@@ -15,6 +15,8 @@ from mphygs import _core
 
 Arrays = Mapping[str, np.ndarray]
 Progress = Callable[[int], bool] | None
+# Names of effects that a direction alone has, and the parameters of all core effects.
+Apart = tuple[list[str], np.ndarray]
 
 _MLS = (_core.MlsMpmFloat32, _core.MlsMpmFloat64)
 NO_HOOK = "effects in Python do not run in MLS-MPM; expected the total-Lagrangian transfer"
@@ -58,12 +60,17 @@ def tangent(
     schedule: Mapping,
     progress: Progress = None,
     hook: object | None = None,
+    apart: Sequence[Apart | None] = (),
 ) -> list[tuple[np.ndarray, ...]]:
-    """The trajectory, and its derivative in each direction."""
+    """The trajectory, and its derivative in each direction.
+
+    apart: effects that each direction has besides the model's own, at their null, None for none; only of the
+    total-Lagrangian transfer.
+    """
     if is_mls(model):
         _without_hook(hook)
         return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress)]
-    return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress, hook)]
+    return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress, hook, list(apart))]
 
 
 def adjoint(

@@ -14,7 +14,7 @@ from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate import core_runs
 from mphygs.simulate.body import LANES, Attachment, Body
 from mphygs.simulate.carried import Carriers
-from mphygs.simulate.core_runs import Arrays, Progress
+from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.particle_body import ParticleBody
 from mphygs.simulate.transfer import Start, Transfer
 
@@ -115,9 +115,9 @@ class MaterialPoints(Transfer):
         return self._from_grid(self.rest_shape.solve(belief))
 
     def prestress_slopes(
-        self, owner: Belief, parameters: Sequence[Parameter]
+        self, owner: Belief, parameters: Sequence[Parameter], beside: Belief
     ) -> list[dict[str, np.ndarray]]:
-        return [self._from_grid(slope) for slope in self.rest_shape.tangent(owner, parameters)]
+        return [self._from_grid(slope) for slope in self.rest_shape.tangent(owner, parameters, beside=beside)]
 
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         deformation = start.gradient + np.eye(3)
@@ -151,6 +151,7 @@ class MaterialPoints(Transfer):
         schedule: dict,
         progress: Progress,
         hook: object | None,
+        apart: Sequence[Apart | None] = (),
     ) -> list[tuple[np.ndarray, ...]]:
         value, *slopes = core_runs.tangent(model, fields, directions, schedule, progress, hook)
         return [self._displaced(value), *slopes]

@@ -213,9 +213,11 @@ class Predictor:
             for i, (owner, parameter) in enumerate(owned):
                 if self.rest_shape.answers(owner, parameter):
                     groups.setdefault(id(owner), []).append(i)
-            for indices in groups.values():
+            # Those that one solution serves come first: every other one takes its place.
+            rests = {i: self.rest_shape.rests_as(owned[own[0]][0], belief) for i, own in groups.items()}
+            for _, indices in sorted(groups.items(), key=lambda item: not rests[item[0]]):
                 owner = owned[indices[0]][0]
-                slopes = self.transfer.prestress_slopes(owner, [owned[i][1] for i in indices])
+                slopes = self.transfer.prestress_slopes(owner, [owned[i][1] for i in indices], belief)
                 for i, slope in zip(indices, slopes, strict=True):
                     changes[i] |= slope
             self.rest_shape.solve(belief)
@@ -342,7 +344,10 @@ class Predictor:
         workers = self.workers
         changes = self.changes(belief, owned, timeline, start)
         base = self._material(belief, start)
-        batches = batches_of(belief, self.body, base, owned, changes, largest=self.transfer.batch)
+        batches = batches_of(
+            belief, self.body, base, owned, changes,
+            largest=self.transfer.batch, apart=self.transfer.keeps_apart,
+        )  # fmt: skip
         imposed = self._imposed(belief, timeline)
         # Models are made here, one after the other: caches are not shared between threads.
         models = [self.model(batch.active, batch.spots, belief.law) for batch in batches]
@@ -352,7 +357,9 @@ class Predictor:
         def run(batch: Batch, model: object) -> list[tuple]:
             fields = batch.fields | imposed
             hook = self._hook(belief, fields, [owned[i] for i in batch.members], batch.directions)
-            return self.transfer.tangent(model, fields, batch.directions, timeline.schedule, progress, hook)
+            return self.transfer.tangent(
+                model, fields, batch.directions, timeline.schedule, progress, hook, batch.apart
+            )
 
         if len(batches) == 1:
             results = [run(batches[0], models[0])]

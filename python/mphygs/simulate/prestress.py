@@ -14,6 +14,8 @@ from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, direction, places, primal
 
+# Effects that make a material differ from place to place.
+GRADIENTS = ("stiffness_gradient", "density_gradient")
 # Shares of the load on the way to it, where Newton's method does not get there at once: few, then many.
 LOAD_STAGES = ((0.35, 0.7, 1.0), tuple(np.arange(1, 13) / 12.0))
 
@@ -30,6 +32,11 @@ def _acting(belief: Belief) -> tuple[Belief, tuple[str, ...]]:
     return replace(rest, terms=terms), active
 
 
+def _load(model: object, fields: dict[str, np.ndarray]) -> np.ndarray:
+    """External force on the nodes at rest, (N, 3) [N]."""
+    return model.node_mass(fields)[:, None] * fields["gravity"] + model.rest_forces(fields)
+
+
 class RestShape:
     """Solves for the stress-free state of one body and keeps the last solution.
 
@@ -43,6 +50,7 @@ class RestShape:
         self._model: object = None
         self._solution: dict | None = None
         self._coordinates: bytes | None = None
+        self._unsolved_models: dict = {}
 
     def answers(self, belief: Belief, parameter: Parameter) -> bool:
         """Whether the stress-free shape may change with a parameter of a belief: not with a wall, say."""
@@ -56,18 +64,17 @@ class RestShape:
         spots = places(rest)
         key = (active, rest.law, spots.tobytes())
         if key != self._key:
-            geometry = dict(self._body.geometry)
-            if len(spots):
-                geometry |= {"places": spots, "place_cell": self._body.nearest_cell(spots)}
-            self._model = _core.TotalLagrangianFloat64(geometry, {"active": list(active), "law": rest.law})
+            self._model = self._model_of(active, rest.law, spots)
             self._solver = _core.Equilibrium(self._model)
             self._key = key
             self._coordinates = None
         return rest
 
-    def _load(self, fields: dict[str, np.ndarray]) -> np.ndarray:
-        """External force on the nodes at rest, (N, 3) [N]."""
-        return self._model.node_mass(fields)[:, None] * fields["gravity"] + self._model.rest_forces(fields)
+    def _model_of(self, active: tuple[str, ...], law: str, spots: np.ndarray) -> object:
+        geometry = dict(self._body.geometry)
+        if len(spots):
+            geometry |= {"places": spots, "place_cell": self._body.nearest_cell(spots)}
+        return _core.TotalLagrangianFloat64(geometry, {"active": list(active), "law": law})
 
     def solve(self, belief: Belief) -> dict[str, np.ndarray]:
         """deformation0 (B, 9, 8) and volume_ratio (B, 8) of the stress-free state.
@@ -76,7 +83,7 @@ class RestShape:
         """
         rest = self._prepare(belief)
         fields = primal(rest, self._body)
-        load = self._load(fields)
+        load = _load(self._model, fields)
         # At a growing strain the rest state is that of time zero: nothing has grown yet.
         signature = np.concatenate(
             [fields["mu"].ravel(), fields["lambda"].ravel(), load.ravel(), fields["effect"]]
@@ -110,12 +117,21 @@ class RestShape:
             return solution
         raise failure
 
-    def tangent(self, belief: Belief, parameters: Sequence[Parameter]) -> list[dict[str, np.ndarray]]:
-        """Derivatives of deformation0 and volume_ratio by the coordinates of parameters."""
-        self.solve(belief)
-        rest = self._prepare(belief)
+    def tangent(
+        self, belief: Belief, parameters: Sequence[Parameter], *, beside: Belief | None = None
+    ) -> list[dict[str, np.ndarray]]:
+        """Derivatives of deformation0 and volume_ratio by the coordinates of parameters.
+
+        beside: the belief without effects that this one has at their null; where this one `rests_as` that,
+        one solution serves all such beliefs.
+        """
+        if beside is not None and not self.rests_as(belief, beside):
+            beside = None
+        solved = self._solution_of(beside or belief)
+        rest, active = _acting(belief)
         fields = primal(rest, self._body)
-        load = self._load(fields)
+        model = self._model if beside is None else self._unsolved(rest, active)
+        load = _load(model, fields)
         zero = np.zeros((load.shape[0], 3))
         directions = []
         for parameter in parameters:
@@ -130,10 +146,31 @@ class RestShape:
             # The load is linear in masses and strengths: one difference is its derivative.
             step = 1e-3
             moved = {k: v + step * change[k] if k in change else v for k, v in fields.items()}
-            slope = (self._load(moved) - load) / step
+            slope = (_load(model, moved) - load) / step
             inner = {k: change[k] for k in ("mu", "lambda", "effect") if k in change}
             directions.append((inner, slope))
-        return self._solver.tangent(directions)
+        return solved.tangent(directions)
+
+    def _solution_of(self, belief: Belief) -> object:
+        """The solver at a belief's solution."""
+        self.solve(belief)
+        self._prepare(belief)
+        return self._solver
+
+    def rests_as(self, belief: Belief, beside: Belief) -> bool:
+        """Whether a belief with effects at their null besides another one's rests as that one does, whose
+        solution then tells all of its derivatives: what it has more of acts from outside, or is a material's
+        change from place to place."""
+        more = set(_acting(belief)[0].effects) - set(_acting(beside)[0].effects)
+        return more <= {*STATIC_EFFECTS, *GRADIENTS}
+
+    def _unsolved(self, rest: Belief, active: tuple[str, ...]) -> object:
+        """A model that tells loads, of what acts at rest."""
+        spots = places(rest)
+        key = (active, rest.law, spots.tobytes())
+        if key not in self._unsolved_models:
+            self._unsolved_models[key] = self._model_of(active, rest.law, spots)
+        return self._unsolved_models[key]
 
     def adjoint(self, deformation0_bar: np.ndarray, volume_ratio_bar: np.ndarray) -> tuple[dict, np.ndarray]:
         """Bars of (mu, lambda, effect) and of the node load for bars of the last solution."""

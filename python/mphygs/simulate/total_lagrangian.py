@@ -12,7 +12,7 @@ from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate import core_runs
 from mphygs.simulate.body import Attachment, Body, core_model, with_places
 from mphygs.simulate.carried import Carriers
-from mphygs.simulate.core_runs import Arrays, Progress
+from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
@@ -21,7 +21,8 @@ _NOWHERE = np.zeros((0, 3))
 class TotalLagrangian(Transfer):
     """State on the nodes of a grid that is fixed to the rest shape."""
 
-    batch = 8
+    batch = 16
+    keeps_apart = True
 
     @property
     def grid_body(self) -> Body:
@@ -76,7 +77,7 @@ class TotalLagrangian(Transfer):
         }
 
     def prestress_slopes(
-        self, owner: Belief, parameters: Sequence[Parameter]
+        self, owner: Belief, parameters: Sequence[Parameter], beside: Belief
     ) -> list[dict[str, np.ndarray]]:
         volumes = self.body.quadrature.volumes
         return [
@@ -84,7 +85,7 @@ class TotalLagrangian(Transfer):
                 "deformation0": slope["deformation0"],
                 "stress_volume": volumes * slope["volume_ratio"].reshape(-1, 8),
             }
-            for slope in self.rest_shape.tangent(owner, parameters)
+            for slope in self.rest_shape.tangent(owner, parameters, beside=beside)
         ]
 
     def admissible(self, start: Start, carried: Carried) -> Start:
@@ -131,8 +132,9 @@ class TotalLagrangian(Transfer):
         schedule: dict,
         progress: Progress,
         hook: object | None,
+        apart: Sequence[Apart | None] = (),
     ) -> list[tuple[np.ndarray, ...]]:
-        return core_runs.tangent(model, fields, directions, schedule, progress, hook)
+        return core_runs.tangent(model, fields, directions, schedule, progress, hook, apart)
 
     def adjoint(
         self,

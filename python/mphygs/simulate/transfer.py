@@ -12,7 +12,7 @@ from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.body import Attachment, Body
 from mphygs.simulate.carried import Carriers
-from mphygs.simulate.core_runs import Arrays, Progress
+from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.settings import Settings
 
@@ -34,11 +34,13 @@ class Start:
 class Transfer(ABC):
     """One object under one set of holds, discretised for one of the core's transfers.
 
-    batch: directions that the core carries at once in one run. Its carriers are what the core's trajectory is
-    given at: N nodes or particles.
+    batch: directions that the core carries at once in one run; keeps_apart: whether one of them may have
+    effects of the volume, the surface and the body that the run has not. Its carriers are what the core's
+    trajectory is given at: N nodes or particles.
     """
 
     batch: int
+    keeps_apart = False
 
     def __init__(self, body: Body, settings: Settings) -> None:
         self.body, self.settings = body, settings
@@ -94,9 +96,11 @@ class Transfer(ABC):
 
     @abstractmethod
     def prestress_slopes(
-        self, owner: Belief, parameters: Sequence[Parameter]
+        self, owner: Belief, parameters: Sequence[Parameter], beside: Belief
     ) -> list[dict[str, np.ndarray]]:
-        """Derivatives of `prestressed` by the coordinates of a belief's parameters."""
+        """Derivatives of `prestressed` by the coordinates of a belief's parameters.
+
+        beside: the belief that is simulated, which lacks effects that the owner has at their null."""
 
     def admissible(self, start: Start, carried: Carried) -> Start:
         """The state nearest to a given one that agrees with the holds. carried: see Carried."""
@@ -125,8 +129,10 @@ class Transfer(ABC):
         schedule: dict,
         progress: Progress,
         hook: object | None,
+        apart: Sequence[Apart | None] = (),
     ) -> list[tuple[np.ndarray, ...]]:
-        """The states of `simulate`, and their derivative in each direction."""
+        """The states of `simulate`, and their derivative in each direction. apart: effects that each alone
+        has; where `keeps_apart` is not set there are none."""
 
     @abstractmethod
     def adjoint(

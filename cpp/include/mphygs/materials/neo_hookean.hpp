@@ -43,16 +43,23 @@ struct NeoHookean {
             scale = (lambda * log_j - mu) * inverse_j;
         }
         Mat3<S> stress() const { return mu * f + scale * c; }
-        /// dP for dF, d mu, d lambda.
-        Mat3<S> change(const Mat3<S>& df, const S& dmu, const S& dlambda) const {
-            const S volumetric = inner(c, df) * inverse_j;  // d ln J
-            const S dscale = (dlambda * log_j + lambda * volumetric - dmu) * inverse_j - scale * volumetric;
-            Mat3<S> dp;
+        /// dP for dF, d mu, d lambda. D: S, or directions in the lanes where S is a number.
+        template <class D>
+        Mat3<D> change(const Mat3<D>& df, const D& dmu, const D& dlambda) const {
+            D volumetric{};  // d ln J
+            for (int a = 0; a < 3; ++a) {
+                for (int b = 0; b < 3; ++b) {
+                    volumetric = volumetric + c[a][b] * df[a][b];
+                }
+            }
+            volumetric = volumetric * inverse_j;
+            const D dscale = (dlambda * log_j + lambda * volumetric - dmu) * inverse_j - scale * volumetric;
+            Mat3<D> dp;
             for (int a = 0; a < 3; ++a) {
                 const int a1 = (a + 1) % 3, a2 = (a + 2) % 3;
                 for (int b = 0; b < 3; ++b) {
                     const int b1 = (b + 1) % 3, b2 = (b + 2) % 3;
-                    const S dc = df[a1][b1] * f[a2][b2] + f[a1][b1] * df[a2][b2] - df[a1][b2] * f[a2][b1] - f[a1][b2] * df[a2][b1];
+                    const D dc = df[a1][b1] * f[a2][b2] + f[a1][b1] * df[a2][b2] - df[a1][b2] * f[a2][b1] - f[a1][b2] * df[a2][b1];
                     dp[a][b] = mu * df[a][b] + dmu * f[a][b] + dscale * c[a][b] + scale * dc;
                 }
             }

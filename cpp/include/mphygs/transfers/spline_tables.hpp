@@ -126,34 +126,16 @@ inline Vec3<W> value_sums(const T* field, std::size_t stride, const Rows& rows, 
     return {{x, y, z}};
 }
 
-/// Reads a number of a field, and the same of the field that many numbers behind it.
-struct BothAt {
-    std::size_t second;
-    PackPair operator()(const float* p) const { return broadcast_pair(p, p + second); }
-};
-inline PackPair twice(const Pack<float>& w) { return join(w, w); }
-
 /// Gradient of a field at the eight points. field: 3 arrays of `stride` numbers.
 template <class T>
 inline Mat3<Pack<T>> gather_gradient(const T* field, std::size_t stride, const Rows& rows, const GradientTable<T>& table) {
     return gradient_sums<Pack<T>>(field, stride, rows, table, [](const T* p) { return *p; }, [](const Pack<T>& w) { return w; });
 }
-/// Of two fields at once, the second one `second` numbers behind the first: their points in the lower and the
-/// upper eight lanes.
-inline Mat3<PackPair> gather_gradient_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
-                                           const GradientTable<float>& table) {
-    return gradient_sums<PackPair>(field, stride, rows, table, BothAt{second}, twice);
-}
-/// Value of a field at the eight points, and of two fields.
+/// Value of a field at the eight points.
 template <class T>
 inline Vec3<Pack<T>> gather_value(const T* field, std::size_t stride, const Rows& rows, const ValueTable<T>& table) {
     return value_sums<Pack<T>>(field, stride, rows, table, [](const T* p) { return *p; }, [](const Pack<T>& w) { return w; });
 }
-inline Vec3<PackPair> gather_value_pair(const float* field, std::size_t second, std::size_t stride, const Rows& rows,
-                                        const ValueTable<float>& table) {
-    return value_sums<PackPair>(field, stride, rows, table, BothAt{second}, twice);
-}
-
 /// Adds to the three nodes of a row, the last lane left out: lines of nodes are short, and a row of four read just after
 /// its neighbour was written across its first node waits until that has left the processor's store buffer.
 template <class T>
@@ -268,32 +250,6 @@ inline void scatter_gradient(const Mat3<Pack<T>>& stress, T* field, std::size_t 
     add_rows<T>(x, field, rows);
     add_rows<T>(y, field + stride, rows);
     add_rows<T>(z, field + 2 * stride, rows);
-}
-
-/// Of two stresses at once, the points of the second in the upper eight lanes, to two fields.
-inline void scatter_gradient_pair(const Mat3<PackPair>& stress, float* first, float* second, std::size_t stride, const Rows& rows,
-                                  const GradientTable<float>& table) {
-    if (table.common) {
-        alignas(64) float p[2][3][3][8];
-        for (int i = 0; i < 9; ++i) {
-            store<float>(p[0][i / 3][i % 3], lower(stress.e[i / 3][i % 3]));
-            store<float>(p[1][i / 3][i % 3], upper(stress.e[i / 3][i % 3]));
-        }
-        scatter_gradient_rows(p[0], first, stride, rows, table);
-        scatter_gradient_rows(p[1], second, stride, rows, table);
-        return;
-    }
-    for (std::size_t c = 0; c < 3; ++c) {
-        PackPair sums[5];
-        factored_rows<PackPair>(stress.e[c], table.factors, twice, sums);
-        alignas(64) float flat[2][node_lanes];
-        for (int n = 0; n < 5; ++n) {
-            store<float>(flat[0] + 8 * n, lower(sums[n]));
-            store<float>(flat[1] + 8 * n, upper(sums[n]));
-        }
-        add_rows<float>(flat[0], first + c * stride, rows);
-        add_rows<float>(flat[1], second + c * stride, rows);
-    }
 }
 
 /// f_a += sum over the points of force N_a.

@@ -32,6 +32,14 @@ struct PointWeights {
     std::vector<double> gradient;    // (M, 27, 3) [1/m]
 };
 
+/// Effects that one direction has besides the model's own: at their null, where they leave motion and stiffness as they are.
+/// Only those of the volume, the surface and the body.
+template <class T>
+struct Added {
+    std::vector<bool> active;  // by number in the registry; empty: none
+    std::vector<T> effect;     // parameters of all effects, as the direction's owner has them
+};
+
 template <class T>
 class TotalLagrangian {
   public:
@@ -55,9 +63,10 @@ class TotalLagrangian {
                            const PointHook<T>* hook = nullptr) const;
 
     /// The trajectory and its derivative in each direction (directions may leave fields empty).
+    /// added: for every direction the effects that it alone has, or empty.
     std::vector<Trajectory<T>> tangent(const Fields<T>& fields, const std::vector<Fields<T>>& directions,
                                        const Schedule& schedule, const Progress& progress = {},
-                                       const PointHook<T>* hook = nullptr) const;
+                                       const PointHook<T>* hook = nullptr, const std::vector<Added<T>>& added = {}) const;
 
     /// Gradient of a loss whose derivatives by the trajectory are given; checkpointed.
     /// `recomputed` returns the number of substeps computed again.
@@ -87,6 +96,8 @@ class TotalLagrangian {
     friend class TotalLagrangianForcesReverse;
     template <class U>
     friend class TotalLagrangianReverse;
+    template <class U, int L>
+    friend class TotalLagrangianDirections;
     friend class Equilibrium;
 
     struct Chunk {
@@ -123,6 +134,7 @@ class TotalLagrangian {
 
     std::array<std::int32_t, 9> rows_of(const std::int32_t* cell) const;
     int find_node(int i, int j, int k) const;
+    SimulationError failure(const std::vector<T>& u, int frame, double time) const;
     std::string describe_failure(const std::vector<T>& u, std::size_t lane_offset, int frame, double time, int* part) const;
 };
 

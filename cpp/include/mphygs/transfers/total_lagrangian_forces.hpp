@@ -95,6 +95,8 @@ class TotalLagrangianForces {
     friend class TotalLagrangianForcesReverse;
     template <class TT>
     friend class TotalLagrangianReverse;
+    template <class TT, int L>
+    friend class TotalLagrangianDirections;
 
     /// What effects compute once a substep.
     void refresh_uniforms(double time, double dt) {
@@ -107,14 +109,6 @@ class TotalLagrangianForces {
         value_uniforms_.resize(uniforms_.size());
         for (std::size_t i = 0; i < uniforms_.size(); ++i) {
             value_uniforms_[i] = lane_of(uniforms_[i], 0);
-        }
-        if constexpr (std::is_same_v<T, float> && K > 1) {
-            pair_uniforms_.resize(static_cast<std::size_t>(K / 2) * uniforms_.size());
-            for (std::size_t k = 0; k < static_cast<std::size_t>(K / 2); ++k) {
-                for (std::size_t i = 0; i < uniforms_.size(); ++i) {
-                    pair_uniforms_[k * uniforms_.size() + i] = pair_of(uniforms_[i], 2 * static_cast<int>(k) + 1);
-                }
-            }
         }
     }
 
@@ -164,12 +158,6 @@ class TotalLagrangianForces {
         if (!model_.sites_.volume && model_.settings_.law == Law::neo_hookean) {
             elastic_forces(b, out, span, rows, table);
             return;
-        }
-        if constexpr (std::is_same_v<T, float> && K > 1) {
-            if (used_ > 1) {
-                volume_pairs(b, time, dt, out, span, rows, table);
-                return;
-            }
         }
         VolumePoint<S> p;
         load_point(b, p, time, dt);
@@ -223,11 +211,7 @@ class TotalLagrangianForces {
         Mat3<P> stress = law.stress();  // without the volume: the directions need it
         const Mat3<P> pulled = prestressed_ ? stress * f0t : stress;
         scatter_gradient<T>(volume * pulled, out, span, rows, table);
-        int done = 1;
-        if constexpr (std::is_same_v<T, float> && K > 1) {
-            done = elastic_pairs(b, out, span, rows, table, law, gradient, stress, pulled);
-        }
-        for (int l = done; l < used_; ++l) {
+        for (int l = 1; l < used_; ++l) {
             Mat3<P> df = gather_gradient<T>(u_.data() + at(l, 0, 0), stride_, rows, table);
             Mat3<P> df0;
             if (prestressed_) {
@@ -242,15 +226,6 @@ class TotalLagrangianForces {
                                 span, rows, table);
         }
     }
-
-    /// Two directions at a time, the points of the second in the upper eight lanes. Returns the first lane left.
-    int elastic_pairs(std::size_t b, float* out, std::size_t span, const Rows& rows, const GradientTable<float>& table,
-                      const NeoHookean::Linearised<Pack<float>>& point, const Mat3<Pack<float>>& gradient,
-                      const Mat3<Pack<float>>& stress, const Mat3<Pack<float>>& pulled) const;
-
-    /// Law and volume effects, two directions at a time: numbers with all directions would live in memory.
-    void volume_pairs(std::size_t b, double time, double dt, float* out, std::size_t span, const Rows& rows,
-                      const GradientTable<float>& table);
 
     void load_point(std::size_t b, VolumePoint<S>& p, double time, double dt) const {
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
@@ -312,12 +287,6 @@ class TotalLagrangianForces {
                 return;
             }
         }
-        if constexpr (std::is_same_v<T, float> && K > 1) {
-            if (used_ > 1) {
-                surface_pairs(b, time, out, span, rows, table);
-                return;
-            }
-        }
         const Vec3<S> force = evaluate_surface(model_.slots_, uniforms_.data(), surface_point(b, time));
         for (int l = 0; l < used_; ++l) {
             Vec3<Pack<T>> part;
@@ -327,13 +296,6 @@ class TotalLagrangianForces {
             scatter_value<T>(part, out + static_cast<std::size_t>(l) * 3 * span, span, rows, table);
         }
     }
-
-    /// Two directions at a time, as `volume_pairs`.
-    void surface_pairs(std::size_t b, double time, float* out, std::size_t span, const Rows& rows,
-                       const ValueTable<float>& table) const;
-
-    /// Lane k of a vector that holds the value and lanes l and l + 1.
-    static Vec3<Pack<float>> pair_part(const Vec3<PairScalar>& a, int l, int k);
 
     const Model& model_;
     Inputs<T, K> inputs_;
@@ -348,7 +310,6 @@ class TotalLagrangianForces {
     std::vector<std::vector<T>> chunk_force_;
     std::vector<S> uniforms_;
     std::vector<Pack<T>> value_uniforms_;    // the same without directions
-    std::vector<PairScalar> pair_uniforms_;  // and for every two of them
     std::vector<U> plain_uniforms_, parameters_;
 };
 

@@ -6,7 +6,7 @@
 
 #include "mphygs/constraint.hpp"
 #include "mphygs/team.hpp"
-#include "mphygs/transfers/total_lagrangian_pairs.hpp"
+#include "mphygs/transfers/total_lagrangian_forces.hpp"
 
 namespace mphygs {
 
@@ -76,6 +76,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     }
 
     std::vector<T>& displacement() { return u_; }
+    const std::vector<T>& displacement() const { return u_; }
     std::vector<T>& velocity() { return v_; }
     const std::vector<T>& force() const { return f_; }
     std::vector<S>& history() { return history_; }
@@ -112,6 +113,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     friend class TotalLagrangianForcesReverse;
     template <class TT>
     friend class TotalLagrangianReverse;
+    template <class TT, int L>
+    friend class TotalLagrangianDirections;
     using Forces::chunk_force_, Forces::chunk_forces, Forces::f0_, Forces::history_, Forces::inputs_, Forces::model_;
     using Forces::load_point, Forces::parameters_, Forces::prestressed_, Forces::refresh_uniforms, Forces::size_;
     using Forces::stride_, Forces::u_, Forces::uniforms_, Forces::v_, Forces::volume_;
