@@ -94,6 +94,6 @@ def test_many_directions_are_those_of_each_alone(forced: ForcedSequence) -> None
     alone = np.concatenate([forced.tangents(motion, [force]) for force in forces], axis=-1)
     assert np.abs(alone).max(axis=(0, 1, 2)).min() > 0.0
     found = forced.tangents(motion, forces, FREE)
-    np.testing.assert_allclose(found[..., :11], alone, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(found[..., : len(forces)], alone, rtol=1e-9, atol=1e-15)
     abreast = ForcedSequence(forced.predictor.twin(2), 8)
     assert np.array_equal(abreast.tangents(motion, forces, FREE), found)
