@@ -173,93 +173,12 @@ class TotalLagrangianDirections {
     }
 
     /// In the sorted order, (slab, point).
-    void pack_points() {
-        const std::size_t points = 8 * model_.rows_.size();
-        const auto pack = [&](Member member, std::vector<W>& to) {
-            if (!any(member)) {
-                return;
-            }
-            for (std::size_t s = 0; s < slabs_; ++s) {
-                for (std::size_t p = 0; p < points; ++p) {
-                    to.push_back(lanes(member, s, 8 * static_cast<std::size_t>(model_.order_[p / 8]) + p % 8));
-                }
-            }
-        };
-        pack(&Fields<T>::mu, mu_);
-        pack(&Fields<T>::lambda, lambda_);
-        pack(&Fields<T>::stress_volume, volume_);
-        if (model_.sites_.body_volume) {
-            pack(&Fields<T>::mass, mass_points_);
-        }
-        if (any(&Fields<T>::deformation0)) {
-            for (std::size_t s = 0; s < slabs_; ++s) {
-                for (std::size_t p = 0; p < points; ++p) {
-                    const std::size_t from = 72 * static_cast<std::size_t>(model_.order_[p / 8]) + p % 8;
-                    Mat3<W> m;
-                    for (std::size_t i = 0; i < 9; ++i) {
-                        m.e[i / 3][i % 3] = lanes(&Fields<T>::deformation0, s, from + 8 * i);
-                    }
-                    f0_.push_back(m);
-                }
-            }
-        }
-        history_.assign(slabs_ * points * static_cast<std::size_t>(model_.sites_.history), W{});
-    }
-
-    void pack_springs() {
-        if (mu_.empty() && volume_.empty()) {
-            return;
-        }
-        spring_stiffness_.assign(slabs_ * model_.springs_.size(), W{});
-        const std::size_t points = 8 * model_.rows_.size();
-        for (std::size_t s = 0; s < slabs_; ++s) {
-            for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
-                if (model_.spring_[b] < 0) {
-                    continue;
-                }
-                const std::size_t spring = static_cast<std::size_t>(model_.spring_[b]);
-                W sum{};
-                for (std::size_t q = 0; q < 8; ++q) {
-                    const std::size_t p = s * points + 8 * b + q;
-                    sum += of(mu_, p) * value_.volume_[b][static_cast<int>(q)] + value_.mu_[b][static_cast<int>(q)] * of(volume_, p);
-                }
-                spring_stiffness_[s * model_.springs_.size() + spring] = model_.springs_[spring].stiffness * sum;
-            }
-        }
-    }
+    void pack_points();
+    void pack_springs();
     static W of(const std::vector<W>& numbers, std::size_t i) { return numbers.empty() ? W{} : numbers[i]; }
 
     /// What the directions' masses do to 1 / m.
-    void prepare_mass() {
-        const bool at_places = model_.sites_.mass && any(&Fields<T>::place_mass);
-        if (!any(&Fields<T>::mass) && !at_places) {
-            return;
-        }
-        inverse_mass_.assign(slabs_ * stride_, W{});
-        for (std::size_t s = 0; s < slabs_; ++s) {
-            W* m = &inverse_mass_[s * stride_];
-            for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
-                const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
-                W point[8];
-                for (std::size_t q = 0; q < 8; ++q) {
-                    point[q] = lanes(&Fields<T>::mass, s, 8 * static_cast<std::size_t>(model_.order_[b]) + q);
-                }
-                for (int a = 0; a < 27; ++a) {
-                    for (int q = 0; q < 8; ++q) {
-                        m[model_.rows_[b][static_cast<std::size_t>(a / 3)] + a % 3] += table.by_node[a][q] * point[q];
-                    }
-                }
-            }
-            for (std::size_t p = 0; at_places && p < model_.places_.size(); ++p) {
-                for (std::size_t a = 0; a < 27; ++a) {
-                    m[model_.places_[p].node[a]] += model_.places_[p].value[a] * lanes(&Fields<T>::place_mass, s, p);
-                }
-            }
-            for (std::size_t n = 0; n < stride_; ++n) {
-                m[n] = -(value_.inverse_mass_[n] * value_.inverse_mass_[n]) * m[n];
-            }
-        }
-    }
+    void prepare_mass();
 
     void refresh(double time, double dt) {
         const std::size_t count = static_cast<std::size_t>(Registry::total_uniform_count);
@@ -308,42 +227,7 @@ class TotalLagrangianDirections {
         }
     }
 
-    void place_forces(double time) {
-        if (!model_.sites_.point) {
-            return;
-        }
-        const std::size_t count = static_cast<std::size_t>(model_.sites_.point_parameters);
-        std::vector<D> q(count);
-        for (std::size_t p = 0; p < model_.places_.size(); ++p) {
-            const auto& place = model_.places_[p];
-            const MaterialPoint<T> now = value_.material_point(p, time);
-            for (std::size_t s = 0; s < slabs_; ++s) {
-                MaterialPoint<D> m;
-                m.time = now.time;
-                for (int c = 0; c < 3; ++c) {
-                    m.rest[c] = dual(now.rest[c], W{});
-                    m.position[c] = dual(now.position[c], W{});
-                    m.velocity[c] = dual(now.velocity[c], W{});
-                    for (std::size_t a = 0; a < 27; ++a) {
-                        const std::size_t i = s * slab_ + 3 * static_cast<std::size_t>(place.node[a]) + static_cast<std::size_t>(c);
-                        m.position[c].d[0] += place.value[a] * u_[i];
-                        m.velocity[c].d[0] += place.value[a] * v_[i];
-                    }
-                }
-                for (std::size_t i = 0; i < count; ++i) {
-                    q[i] = dual(value_.inputs_.plain(&Fields<T>::place_effect, p * count + i), lanes(&Fields<T>::place_effect, s, p * count + i));
-                }
-                const Vec3<D> force = evaluate_point(model_.slots_, q.data(), m);
-                for (std::size_t a = 0; a < 27; ++a) {
-                    W* to = &f_[s * slab_ + 3 * static_cast<std::size_t>(place.node[a])];
-                    for (int c = 0; c < 3; ++c) {
-                        to[c] += place.value[a] * force[c].d[0];
-                    }
-                }
-            }
-        }
-    }
-
+    void place_forces(double time);
     void hook_forces(double time, double dt);
 
     void known_forces(int frame) {
