@@ -52,10 +52,11 @@ inline void TotalLagrangianDirections<T, L>::pack_springs() {
                 continue;
             }
             const std::size_t spring = static_cast<std::size_t>(model_.spring_[b]);
+            const Pack<T>&volume = value_.volume_[b], &mu = value_.mu_[b];
             W sum{};
             for (std::size_t q = 0; q < 8; ++q) {
                 const std::size_t p = s * points + 8 * b + q;
-                sum += of(mu_, p) * value_.volume_[b][static_cast<int>(q)] + value_.mu_[b][static_cast<int>(q)] * of(volume_, p);
+                sum += volume[static_cast<int>(q)] * of(mu_, p) + mu[static_cast<int>(q)] * of(volume_, p);
             }
             spring_stiffness_[s * model_.springs_.size() + spring] = model_.springs_[spring].stiffness * sum;
         }
