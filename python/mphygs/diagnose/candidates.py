@@ -13,11 +13,11 @@ from mphygs.fit.start import with_effect
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effects
 from mphygs.simulate.body import Body
+from mphygs.simulate.fields import GRADIENTS
 from mphygs.simulate.settings import impossible_effects
 
 # Relaxation times [s] whose tangents are tried; the refit moves on from the best.
 RELAXATION_TIMES = (0.02, 0.1, 0.5)
-GRADIENTS = ("stiffness_gradient", "density_gradient")
 # Places of a point mass that the published shape bears, and of one that came later: it leans the object at
 # once, which a heavier one nearer to the axis does nearly as well, and other materials.
 PLACES, LATE_PLACES = 8, 48

@@ -13,9 +13,9 @@ from mphygs.fit.start import with_effect
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.scene.closest import closest_material
+from mphygs.simulate.fields import GRADIENTS
 
 PLACED = ("attached_mass", "tether")
-GRADIENTS = ("stiffness_gradient", "density_gradient")
 # A flow or a yield stress has no derivative where it is absent: fits start from a usual value.
 _DRAG_COEFFICIENT = 1.0
 

@@ -18,6 +18,8 @@ from mphygs.simulate.body import LANES, Body
 
 # Effects that load the object at rest as well, where its rest shape is an equilibrium.
 STATIC_EFFECTS = ("gravity", "attached_mass", "tether", "wind")
+# Effects that make a material differ from place to place.
+GRADIENTS = ("stiffness_gradient", "density_gradient")
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,16 @@ from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
 from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, direction, places, primal
+from mphygs.simulate.fields import (
+    GRADIENTS,
+    STATIC_EFFECTS,
+    at_rest,
+    core_effects,
+    direction,
+    places,
+    primal,
+)
 
-# Effects that make a material differ from place to place.
-GRADIENTS = ("stiffness_gradient", "density_gradient")
 # Shares of the load on the way to it, where Newton's method does not get there at once: few, then many.
 LOAD_STAGES = ((0.35, 0.7, 1.0), tuple(np.arange(1, 13) / 12.0))
 

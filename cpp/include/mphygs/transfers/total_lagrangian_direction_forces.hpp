@@ -19,7 +19,7 @@ inline void TotalLagrangianDirections<T, L>::chunk_forces(std::size_t index, dou
         } else {
             volume_forces(b, time, dt, out, 3 * span);
         }
-        if (shared_points_) {
+        if (volume_added_) {
             added_volume(b, time, dt, added, span);
         }
         if (model_.spring_[b] >= 0) {
@@ -205,7 +205,8 @@ inline void TotalLagrangianDirections<T, L>::added_volume(std::size_t b, double 
         }
         scatter_gradient<T>((-value_.volume_[b]) * stress, out + 3 * a * span, span, rows, model_.gradients_[table]);
         if (forces.own().body_volume) {
-            const Vec3<P> force = value_.mass_points_.empty() ? Vec3<P>{} : value_.mass_points_[b] * AddedForces<T>::slope(p.acceleration);
+            const P mass = load<T>(&value_.inputs_.primal->mass[8 * static_cast<std::size_t>(model_.order_[b])]);
+            const Vec3<P> force = mass * AddedForces<T>::slope(p.acceleration);
             scatter_value<T>(force, out + 3 * a * span, span, rows, model_.values_[table]);
         }
     }

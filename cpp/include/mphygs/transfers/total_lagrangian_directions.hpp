@@ -54,7 +54,7 @@ class TotalLagrangianDirections {
         for (const Direction& a : added_) {
             rate_ = rate_ || a.forces.needs_rate();
             surface_ = surface_ || a.forces.own().surface;
-            shared_points_ = shared_points_ || a.forces.own().volume;
+            volume_added_ = volume_added_ || a.forces.own().volume;
         }
         surface_ = surface_ || model.sites_.surface;
         for (const auto& c : model.chunks_) {
@@ -348,7 +348,7 @@ class TotalLagrangianDirections {
     PointHook<T> of_values_;
     PointForces<T> given_;  // by the hook, of the values
     TotalLagrangianRun<T, 0> value_;
-    bool rate_ = false, surface_ = false, shared_points_ = false;
+    bool rate_ = false, surface_ = false, volume_added_ = false;
     std::vector<W> u_, v_, f_;                          // slab, node, component
     std::vector<W> gravity_;                            // slab, component
     std::vector<D> parameters_, uniforms_;              // slab, number

@@ -82,13 +82,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
 
     void stop_if_unstable(int frame, double time) {
         if (!run_.finite()) {
-            SimulationError error("");
-            int part = -1;
-            const std::string text = model_.describe_failure(run_.u_, 0, frame, time, &part);
-            error = SimulationError(text);
-            error.frame = frame;
-            error.part = part;
-            throw error;
+            throw model_.failure(run_.u_, frame, time);
         }
     }
 
