@@ -1,4 +1,4 @@
-"""Faults of the measurement on the way from the simulation to the markers: what a late clock shows."""
+"""Faults of the measurement on the way from the simulation to the markers: a late clock, a drift, a scale."""
 
 from dataclasses import replace
 
@@ -8,7 +8,9 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from force_example import FPS, shaken_bar, soft_belief
 from mphygs.capture.format import Load
+from mphygs.capture.rotation import matrix_from_rotation_vector
 from mphygs.model.belief import Belief
+from mphygs.simulate.measurement import before_measurement
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
 
 FREE = ("part0.youngs_modulus", "part1.density")
@@ -124,3 +126,55 @@ def test_a_late_clock_shows_a_load_s_motion_later(since: int, frames: float) -> 
     np.testing.assert_allclose(jacobian[far], change[far], atol=0.12 * np.abs(change).max())
     moved = np.abs(one.predict(belief, substep=substep).position - at).max(axis=(1, 2))
     assert (moved[np.arange(10) + frames <= since] < 1e-9).all() and moved[-1] > 1e-4
+
+
+# Fast enough that nothing of it is small: 57 degrees a second about an oblique axis, over 12 frames.
+DRIFT = {"v_x": 0.05, "v_y": -0.02, "v_z": 0.01, "w_x": 0.6, "w_y": -0.3, "w_z": 0.7}
+
+
+def faulty(predictor: Predictor, *, clock: bool = False) -> Belief:
+    belief = late(predictor, 0.4) if clock else soft_belief(predictor.capture, free=FREE)
+    return belief.with_effect("frame_drift", DRIFT).with_effect("length_scale", {"scale": 0.1})
+
+
+def test_a_drifting_frame_moves_rigidly_and_its_scale_is_that_of_what_it_shows(predictor: Predictor) -> None:
+    plain, seen = (predictor.predict(b) for b in (soft_belief(predictor.capture), faulty(predictor)))
+    times = np.arange(FRAMES) / FPS
+    turning, shift = (np.array([DRIFT[f"{kind}_{a}"] for a in "xyz"]) for kind in "wv")
+    rotation = matrix_from_rotation_vector(times[:, None] * turning)
+    position, velocity = (np.einsum("tij,tmj->tmi", rotation, a) for a in (plain.position, plain.velocity))
+    np.testing.assert_allclose(seen.position, 1.1 * (position + times[:, None, None] * shift), atol=1e-15)
+    # Its velocity is that of the markers in the drifting frame.
+    velocity = velocity + np.cross(turning, position) + shift
+    np.testing.assert_allclose(seen.velocity, 1.1 * velocity, atol=1e-14)
+
+
+def test_derivatives_in_a_drifting_frame_of_a_wrong_scale_follow_differences(predictor: Predictor) -> None:
+    belief = faulty(predictor)
+    keys = tuple(p.key for p in belief.free)
+    assert len(keys) == 9
+    jacobian = predictor.predict(belief, keys=keys).jacobian
+    for slot, key in enumerate(keys):
+        step = 1e-5 * np.eye(len(keys))[slot]
+        sides = [predictor.predict(belief.at(belief.coordinates + d)).position for d in (step, -step)]
+        change = (sides[0] - sides[1]) / 2e-5
+        assert np.abs(change).max() > 1e-6, key
+        np.testing.assert_allclose(jacobian[..., slot], change, atol=1e-6 * np.abs(change).max(), err_msg=key)
+
+
+def test_a_late_clock_in_a_drifting_frame_shows_the_turned_velocity(predictor: Predictor) -> None:
+    beliefs = late(predictor, 0.4), faulty(predictor, clock=True)
+    own, seen = (predictor.predict(b, keys=("time_offset.offset",)).jacobian[..., 0] for b in beliefs)
+    turning = np.array([DRIFT[f"w_{a}"] for a in "xyz"])
+    rotation = matrix_from_rotation_vector(np.arange(len(own))[:, None] / FPS * turning)
+    np.testing.assert_allclose(seen, 1.1 * np.einsum("tij,tmj->tmi", rotation, own), atol=1e-13)
+
+
+def test_the_adjoint_of_the_faults_is_the_transpose_of_their_tangent(predictor: Predictor) -> None:
+    belief, plain = faulty(predictor), soft_belief(predictor.capture, free=FREE)
+    tangent = [predictor.predict(b, keys=FREE).jacobian for b in (plain, belief)]
+    bar = np.random.default_rng(0).standard_normal(tangent[1].shape[:3])
+    back = before_measurement(belief, np.arange(FRAMES) / FPS, bar)
+    ours, theirs = (np.einsum("tmc,tmck->k", b, j) for b, j in ((bar, tangent[1]), (back, tangent[0])))
+    assert np.abs(ours).min() > 1e-6
+    np.testing.assert_allclose(theirs, ours, rtol=1e-10)
