@@ -9,7 +9,8 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.compare.assess import BUDGET_FLOOR, Assessment, grid_shift
+from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, grid_shift
+from mphygs.compare.noise import NoiseModel, Observation
 from mphygs.fit.experiment import Experiment
 from mphygs.simulate.prediction import Settings
 
@@ -58,6 +59,32 @@ def test_shares_add_to_the_misfit_in_squares() -> None:
     found = assessed((2.0, 1.0), (2.0, 1.0))
     shares = [found.budget[name] / found.budget["noise"] for name in ("noise", "discretisation", "physics")]
     assert shares == pytest.approx([1.0, 1.0, np.sqrt(3.0)], rel=0.05)
+
+
+def test_metres_are_those_of_each_sequence_whatever_the_noise_of_others() -> None:
+    """A clean sequence is off by two sigma of its own, one beside it of five times the noise by none."""
+    capture = bar_capture(frames=FRAMES, fps=100.0, fit=(0, SPLIT))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=())
+    experiment = Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1))
+    item = next(iter(experiment.compare(truth, SPACING).values()))
+    sigma, draw = item.observation.sigma, np.random.default_rng(3)
+    items = {}
+    for name, noise, off in (("clean", sigma, 2.0 * sigma), ("noisy", 5.0 * sigma, 0.0)):
+        position = item.observation.position
+        wrong = position - noise * draw.standard_normal(position.shape) - off
+        observation = Observation(position, NoiseModel.white(noise, "stated"), item.observation.weight)
+        items[name] = replace(
+            item, observation=observation, predicted=wrong, fit=(0, SPLIT), predict=(SPLIT, FRAMES)
+        )
+    names = tuple(p.name for p in capture.parts)
+    found = assess(items, names, part_centers=np.zeros((len(names), 3)))
+    assert {w["sequence"] for w in found.when} == {"clean"}
+    assert [w["rms"] for w in found.when] == pytest.approx(
+        [2.0 * sigma * np.sqrt(3.0)] * len(found.when), rel=0.15
+    )
+    assert found.budget["noise"] == pytest.approx(np.sqrt(3.0 * 13.0) * sigma)
+    assert found.budget["physics"] == pytest.approx(np.sqrt(3.0 * 2.0) * sigma, rel=0.2)
+    assert found.budget["physics"] == pytest.approx(found.where[0]["rms"])
 
 
 @pytest.mark.parametrize(("everywhere", "excused"), [(False, True), (True, False)])

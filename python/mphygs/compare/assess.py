@@ -55,7 +55,8 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """All compared rows, sequences one after the other. seen: rows of frames that were fitted."""
+    """All compared rows, sequences one after the other. seen: rows of frames that were fitted; sigma: (N,) of
+    the noise of each row's sequence [m]."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -64,6 +65,7 @@ class Whitened:
     frame: np.ndarray
     sequence: np.ndarray
     seen: np.ndarray
+    sigma: np.ndarray
     names: tuple[str, ...]
 
 
@@ -92,6 +94,7 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
                 frame[used],
                 np.full(int(used.sum()), number),
                 seen[used],
+                np.full(int(used.sum()), item.observation.sigma),
             )
         )
     joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
@@ -175,9 +178,8 @@ def assess(
     )
     found = ratios(whitened)
     worst = max(v for ranges in found.values() for v in ranges.values())
-    sigma = float(np.sqrt(np.mean([c.observation.sigma**2 for c in compared.values()])))
     share = _grid_share(whitened)
-    budget = _budget(whitened, share, sigma)
+    budget = _budget(whitened, share)
     # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
     # range: fitted frames may not pay for what unseen ones show.
     beyond = [
@@ -189,34 +191,41 @@ def assess(
         p_value=floor.p_value,
         ratio=found,
         floor=floor,
-        where=_where(whitened, part_names, part_centers, sigma),
-        when=_when(whitened, sigma, block_frames),
+        where=_where(whitened, part_names, part_centers),
+        when=_when(whitened, block_frames),
         budget=budget,
     )
 
 
-def _excess(values: np.ndarray) -> float:
-    """Root mean square beyond noise, in standard deviations."""
-    return float(np.sqrt(max(np.mean(values**2) - 1.0, 0.0))) if len(values) else 0.0
+def _excess(whitened: Whitened, rows: np.ndarray) -> float:
+    """Root mean square over markers beyond noise [m], of some rows."""
+    beyond = whitened.sigma[rows] ** 2 * (whitened.residual[rows] ** 2 - 1.0)
+    return float(np.sqrt(3.0 * max(np.mean(beyond), 0.0)))
 
 
-def _where(whitened: Whitened, parts: tuple[str, ...], centers: np.ndarray, sigma: float) -> list[dict]:
+def _where(whitened: Whitened, parts: tuple[str, ...], centers: np.ndarray) -> list[dict]:
     """Parts whose misfit is more than noise, the worst first."""
     found = []
     for p, name in enumerate(parts):
-        rows = whitened.residual[whitened.part == p]
-        if len(rows) and np.mean(rows**2) > chi2.isf(1e-3 / len(parts), len(rows)) / len(rows):
+        rows = whitened.part == p
+        if _is_more_than_noise(whitened.residual[rows], 1e-3 / len(parts)):
             found.append(
                 {
                     "part": name,
                     "center": [float(x) for x in centers[p]],
-                    "rms": _excess(rows) * sigma * np.sqrt(3.0),
+                    "rms": _excess(whitened, rows),
                 }
             )
     return sorted(found, key=lambda item: -item["rms"])
 
 
-def _when(whitened: Whitened, sigma: float, length: int) -> list[dict]:
+def _is_more_than_noise(residual: np.ndarray, level: float) -> bool:
+    """Whether the chi-square test of whitened residuals says so at that level."""
+    count = len(residual)
+    return count > 0 and float(residual @ residual) > chi2.isf(level, count)
+
+
+def _when(whitened: Whitened, length: int) -> list[dict]:
     """Stretches of frames whose misfit is more than noise, the worst first."""
     found = []
     for number, name in enumerate(whitened.names):
@@ -224,14 +233,14 @@ def _when(whitened: Whitened, sigma: float, length: int) -> list[dict]:
         frames = whitened.frame[mine]
         edges = np.arange(frames.min(), frames.max() + 1, length)
         for first in edges:
-            rows = whitened.residual[mine][(frames >= first) & (frames < first + length)]
-            if len(rows) and np.mean(rows**2) > chi2.isf(1e-3 / len(edges), len(rows)) / len(rows):
+            rows = mine & (whitened.frame >= first) & (whitened.frame < first + length)
+            if _is_more_than_noise(whitened.residual[rows], 1e-3 / len(edges)):
                 last = int(min(first + length, frames.max() + 1))
                 found.append(
                     {
                         "sequence": name,
                         "frames": [int(first), last],
-                        "rms": _excess(rows) * sigma * np.sqrt(3.0),
+                        "rms": _excess(whitened, rows),
                     }
                 )
     return sorted(found, key=lambda item: -item["rms"])
@@ -278,17 +287,14 @@ def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarra
     return _shift(whitened, prior)
 
 
-def _budget(whitened: Whitened, share: np.ndarray, sigma: float) -> dict[str, float]:
+def _budget(whitened: Whitened, share: np.ndarray) -> dict[str, float]:
     """Root mean squares over markers of the three shares [m]: they add in squares to the misfit.
 
     What neither the discretisation's share, (N,), nor noise covers is physics.
     """
-    total = float(np.mean(whitened.residual**2))
-    discretisation = min(float(np.mean(share**2)), max(total - 1.0, 0.0))
-    physics = max(total - 1.0 - discretisation, 0.0)
-    scale = sigma * np.sqrt(3.0)
-    return {
-        "noise": scale,
-        "discretisation": scale * float(np.sqrt(discretisation)),
-        "physics": scale * float(np.sqrt(physics)),
-    }
+    variance = whitened.sigma**2
+    noise = float(np.mean(variance))
+    beyond = max(float(np.mean(variance * whitened.residual**2)) - noise, 0.0)
+    discretisation = min(float(np.mean(variance * share**2)), beyond)
+    shares = {"noise": noise, "discretisation": discretisation, "physics": beyond - discretisation}
+    return {name: float(np.sqrt(3.0 * value)) for name, value in shares.items()}
