@@ -11,7 +11,12 @@ from mphygs.fit.run import DOCUMENT, FORMAT
 from mphygs.image_stages import FOLDER
 
 # What other commands found with a run that stands there no more.
-STALE = ("diagnosis.json", "diagnosis-so-far.json", "steps.json", "comparison.json", "report.html")
+STALE = (
+    "diagnosis.json", "diagnosis-so-far.json", "steps.json", "comparison.json", "report.html",
+    "missing-force.safetensors", "missing_force.py",
+)  # fmt: skip
+# Pictures that `compare` drew of it.
+PICTURES = "pictures"
 
 
 def claim(folder: Path, *, beside: Sequence[str] = (), alone: str | None = None) -> None:
@@ -20,11 +25,7 @@ def claim(folder: Path, *, beside: Sequence[str] = (), alone: str | None = None)
     beside: names of folders by which a run that was not finished is known as well; alone: of a file by which
     it is where nothing else stands there. Raises OptionError.
     """
-    if folder.exists() and not folder.is_dir():
-        raise OptionError(f"--out {folder}: is a file; expected a folder")
-    over = next((above for above in folder.parents if above.exists() and not above.is_dir()), None)
-    if over is not None:
-        raise OptionError(f"--out {folder}: {over} is a file; expected a folder")
+    _check_place(folder)
     if not folder.is_dir() or {item.name for item in folder.iterdir()} <= {alone}:
         return
     if (folder / DOCUMENT).is_file():
@@ -39,10 +40,32 @@ def claim(folder: Path, *, beside: Sequence[str] = (), alone: str | None = None)
         )
 
 
+def claim_capture(folder: Path) -> None:
+    """The same for a capture that is made: over one that was made before, and over nothing else.
+
+    Raises OptionError.
+    """
+    _check_place(folder)
+    made = (folder / "answer.json").is_file() and not (folder / DOCUMENT).exists()
+    if folder.is_dir() and any(folder.iterdir()) and not made:
+        raise OptionError(f"--out {folder}: has files that were not made here; expected a new folder")
+
+
 def clear(folder: Path, more: Sequence[str] = ()) -> None:
     """Take away what was found with the run before, which is not true of the one that is written now."""
     for name in (*STALE, *more):
         (folder / name).unlink(missing_ok=True)
+    for drawn in (*(folder / PICTURES).glob("*.png"), *(folder / PICTURES).glob("*.mp4")):
+        drawn.unlink()
+
+
+def _check_place(folder: Path) -> None:
+    """Whether a folder may stand there at all."""
+    if folder.exists() and not folder.is_dir():
+        raise OptionError(f"--out {folder}: is a file; expected a folder")
+    over = next((above for above in folder.parents if above.exists() and not above.is_dir()), None)
+    if over is not None:
+        raise OptionError(f"--out {folder}: {over} is a file; expected a folder")
 
 
 def _is_ours(document: Path) -> bool:

@@ -38,6 +38,7 @@ from mphygs.fit.run import Run
 from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.image_stages import FOLDER, has_stages, run_stages
 from mphygs.model.belief import Belief
+from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.settings import Settings, check_effects
 
 PROGRAM = "mphygs discover"
@@ -88,7 +89,9 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     first = out / FIRST
     kept = _kept(out) if options.resume else {}
     options = _with_candidates(options, kept, out)
-    candidates = known_effects(options.effects) if options.plugin is None else names(options.effects) or None
+    if options.plugin is not None:
+        load_plugin(options.plugin)
+    candidates = known_effects(options.effects)
     check_effects(options.transfer, candidates or ())
     if not options.resume:
         claim(out, beside=(FIRST,))
@@ -106,7 +109,9 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     if not options.resume:
         if seen is not None:
             settings = Settings(options.spacing or default_spacing(seen))
-            chosen_ranges(seen, settings, names(options.sequences), options.frames)
+            begun = chosen_ranges(seen, settings, names(options.sequences), options.frames)
+            if options.spacing is not None:
+                begun.problem(options.spacing)
         # Only now: nothing that is at fault may take an older run's results away.
         clear(out, ("run.json",))
     screening = options.spacing is None and seen is not None

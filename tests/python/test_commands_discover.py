@@ -195,6 +195,8 @@ def test_discover_ends_unknown_with_the_force(capture: Path, tmp_path: Path) -> 
 
 def test_diagnose_leaves_a_complete_model_alone(elastic: Path, tmp_path: Path) -> None:
     viscous = answer(extend.main, elastic, "viscosity", "--out", tmp_path / "viscous")["run"]
+    code, out, err = call(diagnose.main, viscous, "--effects", "gravity,viscosity")
+    assert (code, out) == (2, "") and "'viscosity' is in the model already" in err
     found = answer(diagnose.main, viscous, "--effects", "gravity,mass_damping")
     assert (found["verdict"], found["effects"]) == ("adequate", [])
     assert [e["effect"] for e in found["ranking"]]
@@ -247,10 +249,16 @@ def test_discover_runs_the_loop_and_resumes(
     assert diagnoses[0] == diagnoses[1]
 
 
-def test_discover_refuses_in_one_line(capture: Path, tmp_path: Path) -> None:
+def test_discover_refuses_in_one_line(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plugin = tmp_path / "own.py"
+    monkeypatch.setattr(discover, "load_plugin", lambda _path: ("own",))
     for arguments, words in (
         (["--effects", "magic"], "unknown effect 'magic'"),
         (["--effects", "prestress"], "prestress is not scored"),
+        (["--plugin", plugin, "--effects", "magic"], "unknown effect 'magic'"),
+        (["--plugin", plugin, "--effects", "prestress"], "prestress is not scored"),
         (["--resume"], "holds no loop"),
     ):
         code, out, err = call(discover.main, capture, "--out", tmp_path / "loop", *arguments)
@@ -271,6 +279,10 @@ def snapshot(folder: Path) -> dict[str, bytes]:
         (discover.main, "CAPTURE", "--spacing", "-1"),
         (fit.main, "CAPTURE", "--frames", "bad"),
         (fit.main, "CAPTURE", "--sequences", "nobody"),
+        # No cell of this grid holds the bar's material.
+        (discover.main, "CAPTURE", "--spacing", "10"),
+        (fit.main, "CAPTURE", "--spacing", "10"),
+        (fit.main, "CAPTURE", "--spacing", "inf"),
     ],
 )
 def test_what_is_at_fault_takes_nothing_away(
@@ -278,7 +290,7 @@ def test_what_is_at_fault_takes_nothing_away(
 ) -> None:
     out = tmp_path / "run"
     shutil.copytree(elastic, out)
-    for name in ("steps.json", "diagnosis.json", "comparison.json", "report.html"):
+    for name in ("steps.json", "diagnosis.json", "comparison.json", "report.html", "missing_force.py"):
         (out / name).write_text("{}")
     before = snapshot(out)
     command, *words = arguments

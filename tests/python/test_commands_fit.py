@@ -17,6 +17,7 @@ from mphygs import predict
 from mphygs.capture.format import Known
 from mphygs.fit import __main__ as command
 from mphygs.fit import checkpointed
+from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.simulate.errors import SimulationError
 
@@ -237,6 +238,37 @@ def test_unstable_simulation_ends_in_1(
     assert err.splitlines()[-1] == "mphygs fit: frame 3, part bar: unstable"
 
 
+def edited(folder: Path, keys: tuple[str, ...], value: object) -> None:
+    """Put a value where the keys lead in a folder's run.json."""
+    document = json.loads((folder / "run.json").read_text())
+    inner = document
+    for key in keys[:-1]:
+        inner = inner[key]
+    inner[keys[-1]] = value
+    (folder / "run.json").write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "words"),
+    [
+        (("ranges",), {"nobody": [0, 5]}, "sequence 'nobody'; expected some of swing, other"),
+        (("ranges", "swing"), [0, 1000], "fitted frames 0:1000 of swing"),
+        (("left_out",), {"swing": [[0, 999]]}, "measurement (0, 999) of swing left out"),
+    ],
+)
+def test_runs_of_what_their_capture_has_not_are_refused(
+    keys: tuple[str, ...], value: object, words: str, fitted: dict, tmp_path: Path
+) -> None:
+    for name in ("run.json", "numbers.safetensors"):
+        (tmp_path / name).write_bytes((Path(fitted["run"]) / name).read_bytes())
+    capture = Path(fitted["run"]) / json.loads((tmp_path / "run.json").read_text())["capture"]
+    edited(tmp_path, ("capture",), str(capture.resolve()))
+    edited(tmp_path, keys, value)
+    with pytest.raises(ValueError) as caught:
+        experiment_of(load_run(tmp_path))
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -244,6 +276,10 @@ def test_unstable_simulation_ends_in_1(
         (lambda f: (f / "run.json").write_text('{"format": "other"}'), "expected 'mphygs-run/1'"),
         (lambda f: (f / "run.json").write_text('{"format": "mphygs-run/1"}'), "key 'belief' is missing"),
         (lambda f: (f / "run.json").unlink(), "is not a run"),
+        (lambda f: edited(f, ("options",), None), "'options' is no object"),
+        (lambda f: edited(f, ("options", "plugin"), 3), "plugin 3: no such file"),
+        (lambda f: edited(f, ("settings", "spacing"), "abc"), "spacing 'abc'; expected a length above zero"),
+        (lambda f: edited(f, ("seed",), -1), "'seed' is -1; expected a whole number"),
         (lambda f: (f / "numbers.safetensors").write_bytes(b"x"), "numbers.safetensors: cannot be read"),
     ],
 )

@@ -186,7 +186,17 @@ def test_refuses_what_is_damaged_in_one_line(reported: Path, tmp_path: Path) -> 
     assert code == 2 and "is not a run" in err
     steps = reported.parent / "steps.json"
     kept = json.loads(steps.read_text())
-    steps.write_text("{")
-    code, _, err = call(command.main, reported.parent, "--out", tmp_path / "x.html")
-    steps.write_text(json.dumps(kept))
-    assert code == 2 and "steps.json: is not JSON" in err.splitlines()[-1]
+    diagnosis = reported.parent / "diagnosis.json"
+    for path, text, words in (
+        (steps, "{", "steps.json: is not JSON"),
+        (steps, "[]", "steps.json: has no 'steps'"),
+        (diagnosis, "[]", "diagnosis.json: has no 'verdict'"),
+    ):
+        path.write_text(text)
+        code, _, err = call(command.main, reported.parent, "--out", tmp_path / "x.html")
+        steps.write_text(json.dumps(kept))
+        assert code == 2 and words in err and err.count("\n") == 1
+    diagnosis.unlink()
+    # The page's place is looked at before the work is done.
+    code, _, err = call(command.main, reported.parent, "--out", tmp_path)
+    assert code == 2 and "is a folder; expected the name of a file" in err and err.count("\n") == 1

@@ -57,6 +57,21 @@ def test_bad_options_end_in_one_line_and_exit_code_2(options, said, tmp_path, ca
     assert not (tmp_path / "x" / "answer.json").exists()
 
 
+def test_nothing_but_an_older_capture_of_its_own_is_written_over(tmp_path, capsys) -> None:
+    out = tmp_path / "own"
+    out.mkdir()
+    (out / "capture.json").write_text("mine")
+    for place in (out, out / "capture.json", out / "capture.json" / "x"):
+        assert main(["bar", "--out", str(place), *SMALL]) == 2
+        heard = capsys.readouterr()
+        assert f"--out {place}" in heard.err and heard.err.count("\n") == 1
+    assert [p.read_text() for p in out.iterdir()] == ["mine"]
+    for seed in ("0", "1"):
+        assert main(["bar", "--out", str(tmp_path / "made"), "--seed", seed, *SMALL]) == 0
+    (tmp_path / "made" / "run.json").write_text("{}")
+    assert main(["bar", "--out", str(tmp_path / "made"), *SMALL]) == 2
+
+
 def test_people_are_told_what_to_run_next(tmp_path, capsys) -> None:
     assert main(["bar", "--out", str(tmp_path / "c"), *SMALL]) == 0
     assert "mphygs discover" in capsys.readouterr().out

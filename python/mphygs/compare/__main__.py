@@ -12,6 +12,7 @@ from typing import Annotated
 
 import tyro
 
+from mphygs.claim import PICTURES
 from mphygs.command import Answer, CommonOptions, Console, names, plain, run
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.compare.image_errors import image_table, joined
@@ -55,6 +56,8 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
     wanted = chosen_names(experiment, names(options.sequences))
+    folder = options.out or state.folder / PICTURES
+    folder.mkdir(parents=True, exist_ok=True)
     count, begun = len(experiment.compared_names(wanted)), itertools.count()
 
     def predicting(text: str) -> None:
@@ -65,7 +68,6 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     )
     assessment = experiment.assess(compared)
     document = comparison_document(experiment, compared, assessment)
-    folder = options.out or state.folder / "pictures"
     pictures = draw(experiment, compared, folder)
     pictured = pictured_of(state, experiment, other=options.capture)
     if pictured is not None:

@@ -90,6 +90,9 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
     candidates = known_effects(options.effects)
+    for name in candidates or ():
+        if name in state.belief.effects:
+            raise OptionError(f"--effects: '{name}' is in the model already; expected another one")
     check_effects(state.transfer, candidates or ())
     so_far = state.folder / SO_FAR
     kept = _so_far(so_far, options) if options.resume else {}

@@ -102,7 +102,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     documents = done.documents
     paying = [name for name, told in zip(wanted, documents[1:], strict=True) if told["pays"]]
     physics = [name for name in paying if effect(name).kind != "measurement"]
-    if documents[0]["adequate"]:
+    if documents[0]["adequate"] and not paying:
         verdict = "adequate"
     elif not steps[-1].explained:
         verdict = "unknown"

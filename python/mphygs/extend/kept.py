@@ -72,13 +72,17 @@ def write_kept(path: Path, document: Mapping[str, object]) -> None:
 
 
 def read_kept(path: Path, program: str) -> dict:
-    """What is kept in a file, nothing where there is none. Raises ValueError for one that is no JSON."""
+    """What is kept in a file, nothing where there is none. Raises ValueError for one that is damaged."""
     if not path.is_file():
         return {}
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: is not JSON ({error}); expected the steps of {program}") from error
+    steps = kept.get("steps", []) if isinstance(kept, dict) else None
+    if not isinstance(steps, list) or not all(isinstance(s, dict) and "effects" in s for s in steps):
+        raise ValueError(f"{path}: holds no steps; expected those of {program}")
+    return kept
 
 
 def kept_left_out(kept: Mapping) -> dict[str, tuple[tuple[int, int], ...]]:

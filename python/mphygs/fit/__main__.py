@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -117,6 +118,10 @@ def fitted(
         state, capture = _new(options, console)
     settings = replace(state.settings, workers=options.workers or available_cores())
     experiment = Experiment(capture, settings, dict(state.ranges))
+    # What is at fault with the capture on this grid is said here, before an older run is taken away.
+    experiment.problem(state.settings.spacing)
+    if not state.history and not state.answer:
+        clear(state.folder)
     console.resume = again or f"{PROGRAM} --out {shlex.quote(str(state.folder))} --resume"
     state.save()
     console.say(
@@ -215,7 +220,7 @@ def check_options(options: FitOptions) -> None:
             raise OptionError(
                 f"--effects: unknown effect '{name}'; expected some of {', '.join(sorted(known))}"
             )
-    if options.spacing is not None and not options.spacing > 0.0:
+    if options.spacing is not None and not 0.0 < options.spacing < math.inf:
         raise OptionError(f"--spacing: got {options.spacing}; expected a length above zero [m]")
     if options.workers is not None and options.workers < 1:
         raise OptionError(f"--workers: got {options.workers}; expected 1 or more")
@@ -269,7 +274,6 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     for name in names(options.effects):
         belief = with_placed_effect(belief, name, capture, tuple(experiment.fitted))
     given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-    clear(out)
     if options.plugin is not None:
         given["plugin"] = str(options.plugin.resolve())
     state = Run(

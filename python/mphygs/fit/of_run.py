@@ -61,7 +61,9 @@ def experiment_of(
     """
     settings = run.settings if workers is None else replace(run.settings, workers=workers)
     if other is None:
-        experiment = Experiment(capture_of(run), settings, dict(run.ranges))
+        capture = capture_of(run)
+        _check_places(run, capture)
+        experiment = Experiment(capture, settings, dict(run.ranges))
         for name, left_out in run.left_out.items():
             _leave_out(experiment, name, np.array(left_out))
         return experiment, run.belief
@@ -78,6 +80,28 @@ def experiment_of(
     belief = replace(run.belief, parameters=(*kept, *(replace(p, free=False) for p in fresh)))
     # The other capture's measured fields hold: gravity may be stated in another frame.
     return Experiment(capture, settings, {}), replace(belief, gravity=capture.gravity)
+
+
+def _check_places(run: Run, capture: Capture) -> None:
+    """Frames and markers of a run that its capture has. Raises ValueError."""
+    recordings = {recording.name: recording for recording in capture.sequences}
+    where = f"{run.folder}: damaged"
+    for name in (*run.ranges, *run.left_out):
+        if name not in recordings:
+            raise ValueError(f"{where}: sequence '{name}'; expected some of {', '.join(recordings)}")
+    for name, (first, last) in run.ranges.items():
+        count = recordings[name].frames
+        if not 0 <= first < last <= count:
+            raise ValueError(f"{where}: fitted frames {first}:{last} of {name}; expected some of its {count}")
+    for name, entries in run.left_out.items():
+        markers = recordings[name].markers
+        frames, count = (0, 0) if markers is None else markers.position.shape[:2]
+        for frame, marker in entries:
+            if not (0 <= frame < frames and 0 <= marker < count):
+                raise ValueError(
+                    f"{where}: measurement ({frame}, {marker}) of {name} left out; "
+                    f"expected one of {frames} frames and {count} markers"
+                )
 
 
 def _leave_out(experiment: Experiment, name: str, entries: np.ndarray) -> None:

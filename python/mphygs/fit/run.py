@@ -207,21 +207,23 @@ def load_run(path: str | Path) -> Run:
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise ValueError(f"{where}: format is {found!r}; expected {FORMAT!r}")
-    plugin = document.get("options", {}).get("plugin")
-    if plugin:
-        load_plugin(plugin)
+    options = document.get("options", {})
+    if not isinstance(options, dict):
+        raise ValueError(f"{where}: 'options' is no object; expected a run as fit writes it")
+    if options.get("plugin"):
+        load_plugin(str(options["plugin"]))
     try:
         belief = belief_from_document(document["belief"])
         run = Run(
             folder=folder,
             options=document["options"],
             versions=document["versions"],
-            seed=int(document["seed"]),
+            seed=_whole(document["seed"]),
             # A capture inside the run folder moves with it.
             capture=folder / document["capture"],
             digest=document["digest"],
             stages=folder / document["stages"] if "stages" in document else None,
-            settings=Settings(**document["settings"], transfer=document["transfer"]),
+            settings=_settings(document["settings"], document["transfer"]),
             ranges={name: (int(a), int(b)) for name, (a, b) in document["ranges"].items()},
             start=belief_from_document(document["start"]),
             belief=belief,
@@ -238,6 +240,21 @@ def load_run(path: str | Path) -> Run:
         return run
     covariance, information = _matrices(folder, belief)
     return replace(run, covariance=covariance, information=information)
+
+
+def _whole(number: object) -> int:
+    """A seed. Raises ValueError for what is none."""
+    if not isinstance(number, int) or number < 0:
+        raise ValueError(f"'seed' is {number!r}; expected a whole number, zero or more")
+    return number
+
+
+def _settings(told: Mapping[str, object], transfer: str) -> Settings:
+    """Raises ValueError where the spacing is no length."""
+    spacing = told["spacing"]
+    if not isinstance(spacing, (int, float)) or not 0.0 < spacing < float("inf"):
+        raise ValueError(f"'settings' has the spacing {spacing!r}; expected a length above zero [m]")
+    return Settings(**told, transfer=transfer)
 
 
 def _matrices(folder: Path, belief: Belief) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from mphygs.command import Answer, CommonOptions, Console, plain, run
+from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.compare.__main__ import comparison_document
 from mphygs.compare.assess import Compared
 from mphygs.compare.image_errors import joined
@@ -54,13 +54,18 @@ def report(options: ReportOptions, console: Console) -> Answer:
     """Compare, draw, and write the page; diagnosis and steps are in it when they are in the run folder."""
     state = load_run(options.run)
     parameters = parameters_of(state)
+    out = options.out or state.folder / "report.html"
+    if out.is_dir():
+        raise OptionError(f"--out {out}: is a folder; expected the name of a file")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    diagnosis = _optional(state.folder / DIAGNOSIS, "verdict", "ranking", "advice")
+    steps = _optional(state.folder / STEPS, "steps")
     experiment, belief = experiment_of(state, workers=options.workers)
     spacing = state.settings.spacing
     wanted = chosen_names(experiment, ())
     compared = experiment.compare(belief, spacing, names=wanted, refine=True, report=console.say)
     assessment = experiment.assess(compared)
     motions, pictures = {}, {}
-    diagnosis = _optional(state.folder / DIAGNOSIS)
     told = None if diagnosis is None else diagnosis.get("missing_force")
     forces = load_samples(state.folder, wanted) if told else {}
     for number, name in enumerate(wanted):
@@ -85,10 +90,8 @@ def report(options: ReportOptions, console: Console) -> Answer:
         commands=commands_of(state),
         diagnosis=diagnosis,
         force=missing_force_text(told, state.capture, state.folder) if told else (),
-        steps=_optional(state.folder / STEPS),
+        steps=steps,
     )
-    out = options.out or state.folder / "report.html"
-    out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(page(contents), encoding="utf-8")
     return Answer({"run": str(state.folder), "report": str(out)}, f"report: {out}")
 
@@ -155,14 +158,18 @@ def _picture(experiment: Experiment, compared: Compared, name: str) -> bytes:
     return buffer.getvalue()
 
 
-def _optional(path: Path) -> dict | None:
+def _optional(path: Path, *keys: str) -> dict | None:
     """What another command left in the run folder, None where it was not run. ValueError if damaged."""
     if not path.is_file():
         return None
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: is not JSON ({error}); expected what its command wrote") from error
+    for key in keys:
+        if not isinstance(found, dict) or key not in found:
+            raise ValueError(f"{path}: has no '{key}'; expected what its command wrote")
+    return found
 
 
 if __name__ == "__main__":

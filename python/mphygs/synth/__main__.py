@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from mphygs.claim import claim_capture
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.synth.faults import DEFAULTS as FAULTS
 from mphygs.synth.flower.__main__ import main as flower
@@ -81,6 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def synth(options: SynthOptions, console: Console) -> Answer:
     """Make the capture and say what is hidden in it."""
+    claim_capture(options.out)
     made_of = _recipe(options)
     last: tuple[str, float] | None = None
 
