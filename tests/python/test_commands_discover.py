@@ -199,7 +199,15 @@ def test_diagnose_leaves_a_complete_model_alone(elastic: Path, tmp_path: Path) -
     assert (code, out) == (2, "") and "'viscosity' is in the model already" in err
     found = answer(diagnose.main, viscous, "--effects", "gravity,mass_damping")
     assert (found["verdict"], found["effects"]) == ("adequate", [])
-    assert [e["effect"] for e in found["ranking"]]
+    assert {e["effect"] for e in found["ranking"]} == {"gravity", "mass_damping"}
+    for entry in found["ranking"]:
+        assert entry["p_value"] > 0.01
+        # Of one parameter (z of the test + z of the power) standard errors, of several a little more.
+        sizes = [entry["detectable"][name] / std for name, std in entry["std"].items()]
+        assert min(sizes) > 3.0 and max(sizes) < 6.0
+    code, out, _ = call(diagnose.main, viscous, "--effects", "gravity,mass_damping")
+    alpha = next(e for e in found["ranking"] if e["effect"] == "mass_damping")["detectable"]["alpha"]
+    assert code == 0 and f"  mass_damping: alpha {alpha:.3g} 1/s" in out.splitlines()
 
 
 @pytest.mark.parametrize("kept", [False, True])

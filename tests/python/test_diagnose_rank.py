@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, entry_of, recorded
@@ -14,11 +15,13 @@ from mphygs.capture.holds import Load
 from mphygs.diagnose import rank as ranking
 from mphygs.diagnose.candidates import SINCE_THE_START
 from mphygs.diagnose.contact_search import Plane
+from mphygs.diagnose.document import ranking_document
 from mphygs.diagnose.rank import Entry, rank
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
 from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
 from mphygs.simulate.prediction import Settings
 
 MASS = 6e-3  # [kg], of a bar of 26 g
@@ -153,6 +156,28 @@ def test_smooth_effects_that_the_motion_cannot_test_are_said_to_be_so() -> None:
     assert {entry.effect for entry in found.entries} == {"viscosity", "mass_damping"}
     for entry in found.entries:
         assert entry.reason and (entry.p_value, entry.statistic, entry.estimate) == (1.0, 0.0, {})
+
+
+def test_numbers_are_told_by_the_names_of_the_model() -> None:
+    names = ("base_motion", "wind", "relaxation", "tether", "stiffness_gradient", "gravity", "plasticity")
+    entries = {entry.effect: entry for entry in ranked(*names).entries}
+    told = {entry["effect"]: entry for entry in ranking_document(ranked(*names), 1e-4)}
+    assert set(told) == set(names)
+    for name, document in told.items():
+        own = {p.name for p in effect(name).parameters}
+        # Those of an effect's settings (where a tether is anchored) stand beside.
+        whole = {p.key.removeprefix(f"{name}.") for p in entries[name].start.parameters}
+        assert own <= set(document["estimate"]) <= whole
+        assert set(document["std"]) <= set(document["estimate"])
+        assert set(document["detectable"]) <= own
+    shaking = told["base_motion"]
+    assert shaking["estimate"]["f"] > 0.0 and set(shaking["detectable"]) == {"a_x", "a_y", "a_z"}
+    assert set(told["tether"]["detectable"]) == {"k"} and not told["plasticity"]["detectable"]
+    # One parameter with one bound: (z of the test at its share of the level + z of the power) / sqrt(I).
+    ratio = told["relaxation"]
+    family = len(ranked(*names).table.scores)
+    sizes = norm.isf(0.01 / family) + norm.ppf(0.8)
+    assert ratio["detectable"]["ratio"] == pytest.approx(sizes * ratio["std"]["ratio"], rel=1e-6)
 
 
 def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mphygs.diagnose.next_motion import Proposed
-from mphygs.diagnose.rank import Ranking
+from mphygs.diagnose.rank import LEVEL, Entry, Ranking
+from mphygs.model.registry import effect
 
 SHOWN = 8
 
@@ -36,17 +37,32 @@ def ranking_document(
             "statistic": entry.statistic,
             "p_value": entry.p_value,
             "expected_rms": entry.expected_ratio * sigma * np.sqrt(3.0),
-            "estimate": dict(entry.estimate),
+            "estimate": _estimate(entry),
             "confounded_with": list(dict.fromkeys([*alike.get(entry.effect, ()), *entry.confounded_with])),
-            "std": dict(entry.std),
+            "std": {name: std for name, std in entry.std.items() if name in _own(entry)},
             "way": entry.label,
             "reason": entry.reason,
-            "detectable": entry.detectable,
+            "detectable": dict(entry.detectable),
             "refitted": actual.get(entry.effect),
             "stands_out": entry.stands_out,
         }
         for entry in entries
     ]
+
+
+def _own(entry: Entry) -> dict[str, float]:
+    """The parameters of an entry's effect, as the model has them that a refit begins with."""
+    owner = f"{entry.effect}."
+    return {p.key.removeprefix(owner): p.value for p in entry.start.parameters if p.key.startswith(owner)}
+
+
+def _estimate(entry: Entry) -> dict[str, float]:
+    """All numbers that make the effect: what was estimated, and at what (a frequency, a flow).
+
+    By the public names of the parameters: the columns of a score may be several to one (a sine and a cosine).
+    """
+    own = _own(entry)
+    return own | {name: value for name, value in entry.estimate.items() if name in own}
 
 
 def advice(
@@ -93,4 +109,24 @@ def diagnosis_text(document: Mapping[str, object]) -> list[str]:
             f"rms would be {1e3 * entry['expected_rms']:.3f} mm ({numbers})"
             + (f"; refitted: falls by {entry['refitted']:.1f}" if entry["refitted"] is not None else "")
         )
+    unseen = [entry for entry in document["ranking"] if entry["p_value"] > LEVEL and seen_from(entry)]
+    if unseen:
+        lines += ["", "not found, and would have been found from this far off their null:"]
+        lines += [f"  {entry['effect']}: {seen_from(entry)}" for entry in unseen]
     return [*lines, "", document["advice"]]
+
+
+def seen_from(entry: Mapping[str, object]) -> str:
+    """From which size of each parameter alone an effect of a ranking would have been found, with units.
+
+    Empty where that is not known.
+    """
+    sizes = entry.get("detectable")
+    if not isinstance(sizes, Mapping):  # an older diagnosis
+        return ""
+    units = {p.name: p.unit for p in effect(str(entry["effect"])).parameters}
+    told = []
+    for name, size in sizes.items():
+        unit = units.get(name, "-")
+        told.append(f"{name} {size:.3g}" + ("" if unit == "-" else f" {unit}"))
+    return ", ".join(told)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from mphygs.diagnose.contact_search import walls, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.places import ways_between
-from mphygs.diagnose.power import detectable_length
+from mphygs.diagnose.power import detectable_strength
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
 from mphygs.diagnose.ties import tied_with
@@ -37,6 +37,8 @@ from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import MLS
 
+# Of tests, all candidates of a diagnosis together.
+LEVEL = 0.01
 # Effects that do nothing, scored beside the candidates.
 DECOYS = 20
 FREQUENCIES = 2
@@ -57,7 +59,8 @@ class Entry:
     """One effect in its best way.
 
     start: belief to refit from; others: beliefs that a refit starts from as well; statistic: predicted
-    (trial: actual) drop of chi^2; stands_out: share of decoys at least as significant.
+    (trial: actual) drop of chi^2; stands_out: share of decoys at least as significant; detectable: of a
+    parameter alone the smallest size that would have been found, in its unit.
     """
 
     effect: str
@@ -71,7 +74,7 @@ class Entry:
     start: Belief
     confounded_with: tuple[str, ...] = ()
     reason: str = ""
-    detectable: float | None = None
+    detectable: Mapping[str, float] = field(default_factory=dict)
     stands_out: float | None = None
     others: tuple[Belief, ...] = ()
 
@@ -298,7 +301,7 @@ def _entry(
         if name in ("compressibility",)
         else np.zeros(len(way.columns))
     )
-    labels = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
+    public = labels = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
     if len(set(labels)) < len(labels):
         labels = [f"{label}_{k}" for k, label in enumerate(labels)]
     estimate = score.estimate + null
@@ -328,9 +331,23 @@ def _entry(
         dict(zip(labels, map(float, score.std), strict=True)),
         starting_effect(way, estimate, belief),
         tuple(sorted(tied)),
-        detectable=float(detectable_length(score, level=0.01, family=len(table.scores))),
+        detectable=_detectable(name, public, score, len(table.scores)),
         others=other_starts(way, score, belief),
     )
+
+
+def _detectable(effect_name: str, parameters: Sequence[str], score: Score, family: int) -> dict[str, float]:
+    """Smallest size of each parameter that would have been found among so many candidates, where any would.
+
+    Of one that has several columns (a sine and a cosine, axes of a slope) in whichever of them it is; of a
+    tether the stiffness, its other columns are pulls.
+    """
+    strengths: dict[str, float] = {}
+    sizes = detectable_strength(score, level=LEVEL, family=family)
+    for parameter, size in zip(parameters, sizes, strict=True):
+        if effect_name != "tether" or parameter not in strengths:
+            strengths[parameter] = max(float(size), strengths.get(parameter, 0.0))
+    return {parameter: size for parameter, size in strengths.items() if np.isfinite(size)}
 
 
 def _trials(

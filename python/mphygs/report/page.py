@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 
 from mphygs.capture.format import Capture
+from mphygs.diagnose.document import seen_from
 from mphygs.fit.run import Run
 from mphygs.report.html import asset, falling_errors, picture, table, viewer
 
@@ -180,6 +181,7 @@ def _ranking(contents: Contents) -> str:
                 float(entry["p_value"]),
                 "" if expected is None else 1e3 * expected,
                 estimate,
+                seen_from(entry),
                 reason,
             ]
         )
@@ -190,6 +192,7 @@ def _ranking(contents: Contents) -> str:
         "p",
         "rms then, mm",
         "estimate",
+        "seen from",
         "not told apart from, or why not",
     ]
     return table(head, rows) + f"<p>{escape(str(found['advice']))}</p>"
