@@ -16,7 +16,7 @@ from mphygs.capture.format import load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
-from mphygs.diagnose.__main__ import diagnosis_document, known_effects, ranking_entries
+from mphygs.diagnose.__main__ import diagnosis_document, drift_entries, known_effects, ranking_entries
 from mphygs.diagnose.missing_force_document import (
     keep_missing_force,
     missing_force_text,
@@ -140,6 +140,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         done.tell(step, experiment)
         if rankings and done.ranking is None:
             done.ranking = ranking_entries([step], rankings[0], experiment)
+            done.drift = drift_entries(rankings[0])
         _keep(out, done, experiment, options)
         console.say("\n".join(steps_text(plain(done.documents[-1:]))))
 
@@ -241,11 +242,12 @@ def _conclude(
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
     run_at(state, out, found.steps[-1], experiment, options=given, answer=answer).save()
     keep_missing_force(missing, out)
-    entries = done.ranking
+    entries, drift = done.ranking, done.drift
     if entries is None and found.rankings:
         entries = ranking_entries(found.steps, found.rankings[0], experiment)
+        drift = drift_entries(found.rankings[0])
     if entries is not None:
-        document = diagnosis_document(found, entries, missing)
+        document = diagnosis_document(found, entries, missing, drift=drift)
         (out / DIAGNOSIS).write_text(json.dumps(plain(document), indent=1) + "\n")
     return answer
 

@@ -77,7 +77,7 @@ def test_extend_refuses_in_one_line(elastic: Path, tmp_path: Path, arguments: li
 def test_diagnose_names_what_is_missing(elastic: Path) -> None:
     before = (elastic / "run.json").read_bytes()
     found = answer(diagnose.main, elastic, "--effects", CANDIDATES)
-    assert set(found) == {"verdict", "effects", "ranking", "missing_force", "advice"}
+    assert set(found) == {"verdict", "effects", "ranking", "missing_force", "drift", "advice"}
     assert (found["verdict"], found["effects"]) == ("missing", ["viscosity"])
     first, second = found["ranking"]
     assert (first["effect"], first["kind"], second["effect"]) == ("viscosity", "smooth", "gravity")

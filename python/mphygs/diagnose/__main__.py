@@ -115,6 +115,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         done.tell(step, experiment)
         if rankings and done.ranking is None:
             done.ranking = ranking_entries([step], rankings[0], experiment)
+            done.drift = drift_entries(rankings[0])
         keep(rankings)
 
     if not done.documents:
@@ -135,18 +136,19 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     )
     found = replace(found, rankings=(*earlier, *found.rankings))
     entries = done.ranking
+    drift = done.drift
     if entries is None:
         if found.rankings:
             ranking = found.rankings[0]
         else:
             ranking = _ranking(experiment, steps[0], spacing, state.seed, candidates, console)
-        entries = ranking_entries(found.steps, ranking, experiment)
+        entries, drift = ranking_entries(found.steps, ranking, experiment), drift_entries(ranking)
     missing = None
     if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
         missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
     keep_missing_force(missing, state.folder)
     motions = motions_to_record(found, experiment, trying, report=console.say)
-    document = diagnosis_document(found, entries, missing, motions)
+    document = diagnosis_document(found, entries, missing, motions, drift=drift)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
     so_far.unlink()
     lines = diagnosis_text(plain(document))
@@ -213,19 +215,27 @@ def ranking_entries(
     return ranking_document(ranking, sigma, refitted=refitted, ties=ties)
 
 
+def drift_entries(ranking: Ranking) -> list[dict[str, object]]:
+    """Fitted parameters that would have to change for a while where nothing else does, as JSON."""
+    return [spot.document() for spot in ranking.drift]
+
+
 def diagnosis_document(
     found: Discovery,
     entries: Sequence[Mapping[str, object]],
     missing: Unexplained | None = None,
     motions: Sequence[Proposed] = (),
+    *,
+    drift: Sequence[Mapping[str, object]] = (),
 ) -> dict[str, object]:
     """The JSON of a diagnosis. entries: see `ranking_entries`; motions: that would tell the first effect from
-    its rival."""
+    its rival; drift: see `drift_entries`."""
     return {
         "verdict": found.verdict,
         "effects": list(found.effects),
         "ranking": list(entries),
         "missing_force": None if missing is None else missing.document(),
+        "drift": list(drift),
         "advice": advice(found.verdict, found.effects, entries, found.warnings, motions=motions),
     }
 

@@ -31,7 +31,8 @@ class BlockScores:
 
 
 def block_scores(residual: Array, projection: Projection, tangent: Array, blocks: Blocks) -> BlockScores:
-    """Score of every block. residual: (N,), tangent: (N, q), both whitened, N as the projection's.
+    """Score of every block. residual: (N,), tangent: (N, q), both whitened, N as the projection's; rows that
+    the blocks' index gives the number of no block are in none.
 
     With a column of ones on one coordinate as tangent this asks for a mean offset of that block.
     """
@@ -41,7 +42,7 @@ def block_scores(residual: Array, projection: Projection, tangent: Array, blocks
     degrees = np.zeros(count, dtype=int)
     scale = np.linalg.norm(tangent, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    for b, rows in enumerate(blocks.rows()):
+    for b, rows in enumerate(blocks.rows()[:count]):
         local = tangent[rows] / scale
         score = local.T @ remaining[rows]
         seen = projection.basis[rows].T @ local

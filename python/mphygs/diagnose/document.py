@@ -43,6 +43,7 @@ def ranking_document(
             "way": entry.label,
             "reason": entry.reason,
             "detectable": dict(entry.detectable),
+            "where": [spot.document() for spot in entry.spots],
             "refitted": actual.get(entry.effect),
             "stands_out": entry.stands_out,
         }
@@ -109,11 +110,22 @@ def diagnosis_text(document: Mapping[str, object]) -> list[str]:
             f"rms would be {1e3 * entry['expected_rms']:.3f} mm ({numbers})"
             + (f"; refitted: falls by {entry['refitted']:.1f}" if entry["refitted"] is not None else "")
         )
+    leading = next(iter(document["ranking"]), {})
+    if leading.get("where"):
+        lines += ["", f"{leading['effect']} is wanted most in", *map(_spot_text, leading["where"])]
+    if document["drift"]:
+        lines += ["", "these fitted numbers would have to drift:", *map(_spot_text, document["drift"])]
     unseen = [entry for entry in document["ranking"] if entry["p_value"] > LEVEL and seen_from(entry)]
     if unseen:
         lines += ["", "not found, and would have been found from this far off their null:"]
         lines += [f"  {entry['effect']}: {seen_from(entry)}" for entry in unseen]
     return [*lines, "", document["advice"]]
+
+
+def _spot_text(spot: Mapping[str, object]) -> str:
+    first, last = spot["frames"]
+    place = f"{spot['part']}, frames {first} to {last - 1} of {spot['sequence']}"
+    return f"  {place}: {spot['parameter']}, z {spot['z']:.1f}"
 
 
 def seen_from(entry: Mapping[str, object]) -> str:

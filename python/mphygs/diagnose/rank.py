@@ -25,6 +25,7 @@ from mphygs.diagnose.places import ways_between
 from mphygs.diagnose.power import detectable_strength
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
+from mphygs.diagnose.spots import Spot, Spots
 from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.trials import score_trials
 from mphygs.diagnose.trials_of import Trial, compliance_trials, hung_trials, plasticity_trials
@@ -60,7 +61,8 @@ class Entry:
 
     start: belief to refit from; others: beliefs that a refit starts from as well; statistic: predicted
     (trial: actual) drop of chi^2; stands_out: share of decoys at least as significant; detectable: of a
-    parameter alone the smallest size that would have been found, in its unit.
+    parameter alone the smallest size that would have been found, in its unit; spots: where and when it is
+    wanted most.
     """
 
     effect: str
@@ -77,13 +79,14 @@ class Entry:
     detectable: Mapping[str, float] = field(default_factory=dict)
     stands_out: float | None = None
     others: tuple[Belief, ...] = ()
+    spots: tuple[Spot, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """entries: best first, one per effect; chi_square, rows: of fitted frames; table: of all smooth ways;
     decoys: how effects that do nothing score on the same data; decoy_statistic: the largest drop of chi^2
-    that one of them predicts."""
+    that one of them predicts; drift: fitted coordinates that would have to change for a while, and where."""
 
     entries: tuple[Entry, ...]
     chi_square: float
@@ -91,6 +94,7 @@ class Ranking:
     table: ScoreTable | None
     decoys: DecoyCheck | None = None
     decoy_statistic: float = 0.0
+    drift: tuple[Spot, ...] = ()
 
 
 def _peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
@@ -215,7 +219,9 @@ def rank(
     testable = any(score.testable for score in table.scores)
     family = simulate_family(table, generator=generator) if testable else None
     decoys, decoy_statistic = _decoys(full_residual, full_jacobian, fakes, known, generator.spawn(1)[0])
+    spots = Spots.of(experiment, problem, full_residual, full_jacobian)
     best: dict[str, tuple[Way, Score]] = {}
+    tangent_of = {way.label: candidate.tangent for way, candidate in zip(ways, candidates, strict=True)}
     for way, score in zip(ways, table.scores, strict=True):
         worth = score.drop - 2 * score.parameter_count if score.testable else -np.inf
         old = best.get(way.effect)
@@ -227,6 +233,9 @@ def rank(
         entry = _entry(name, way, score, table, family, names_of, belief, rows)
         if name == "attached_mass" and LATE.items() <= way.settings.items():
             entry = replace(entry, others=_elsewhere(way, score, ways, table, belief))
+        if score.testable:
+            parameters = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
+            entry = replace(entry, spots=spots.of_columns(tangent_of[way.label], parameters))
         entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
     if trials:
         tried = _trials(
@@ -236,7 +245,8 @@ def rank(
         entries = _with_trials(entries, tried)
     entries.sort(key=lambda e: -(e.statistic - 2 * len(e.estimate)))
     chi_square = float(residual @ residual)
-    return Ranking(tuple(entries), chi_square, rows, table, decoys, decoy_statistic)
+    drift = spots.of_columns(full_jacobian, [p.key for p in belief.free])
+    return Ranking(tuple(entries), chi_square, rows, table, decoys, decoy_statistic, drift)
 
 
 def _elsewhere(

@@ -17,17 +17,21 @@ from mphygs.fit.experiment import Experiment
 @dataclass
 class Kept:
     """The steps of a loop. documents: as they are told; states: what else it takes to make them again;
-    ranking: of the first diagnosis, as a document, once there is one."""
+    ranking: of the first diagnosis, as a document, once there is one; drift: what it says would have to."""
 
     documents: list[dict] = field(default_factory=list)
     states: list[dict] = field(default_factory=list)
     ranking: list[dict] | None = None
+    drift: list[dict] = field(default_factory=list)
 
     @classmethod
     def of(cls, document: Mapping) -> Kept:
         """As `document` told it; nothing of an empty one."""
         return cls(
-            list(document.get("steps", [])), list(document.get("states", [])), document.get("ranking")
+            list(document.get("steps", [])),
+            list(document.get("states", [])),
+            document.get("ranking"),
+            list(document.get("drift", [])),
         )
 
     def tell(
@@ -60,6 +64,7 @@ class Kept:
             "steps": self.documents,
             "states": self.states,
             "ranking": self.ranking,
+            "drift": self.drift,
             "left_out": left_out_of(experiment),
         }
 
