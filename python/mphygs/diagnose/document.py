@@ -110,16 +110,23 @@ def diagnosis_text(document: Mapping[str, object]) -> list[str]:
             f"rms would be {1e3 * entry['expected_rms']:.3f} mm ({numbers})"
             + (f"; refitted: falls by {entry['refitted']:.1f}" if entry["refitted"] is not None else "")
         )
-    leading = next(iter(document["ranking"]), {})
-    if leading.get("where"):
-        lines += ["", f"{leading['effect']} is wanted most in", *map(_spot_text, leading["where"])]
-    if document["drift"]:
-        lines += ["", "these fitted numbers would have to drift:", *map(_spot_text, document["drift"])]
+    lines += spot_lines(document)
     unseen = [entry for entry in document["ranking"] if entry["p_value"] > LEVEL and seen_from(entry)]
     if unseen:
         lines += ["", "not found, and would have been found from this far off their null:"]
         lines += [f"  {entry['effect']}: {seen_from(entry)}" for entry in unseen]
     return [*lines, "", document["advice"]]
+
+
+def spot_lines(document: Mapping[str, object]) -> list[str]:
+    """Where and when the leading effect of a diagnosis is wanted, and what would have to drift."""
+    lines = []
+    leading = next(iter(document["ranking"]), {})
+    if leading.get("where"):
+        lines += ["", f"{leading['effect']} is wanted most in", *map(_spot_text, leading["where"])]
+    if document.get("drift"):
+        lines += ["", "these fitted numbers would have to drift:", *map(_spot_text, document["drift"])]
+    return lines
 
 
 def _spot_text(spot: Mapping[str, object]) -> str:

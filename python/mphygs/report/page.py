@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 
 from mphygs.capture.format import Capture
-from mphygs.diagnose.document import seen_from
+from mphygs.diagnose.document import seen_from, spot_lines
 from mphygs.fit.run import Run
 from mphygs.report.html import asset, falling_errors, picture, table, viewer
 
@@ -195,7 +195,9 @@ def _ranking(contents: Contents) -> str:
         "seen from",
         "not told apart from, or why not",
     ]
-    return table(head, rows) + f"<p>{escape(str(found['advice']))}</p>"
+    spots = "\n".join(spot_lines(found)[1:])
+    told = f"<pre>{escape(spots)}</pre>" if spots else ""
+    return table(head, rows) + told + f"<p>{escape(str(found['advice']))}</p>"
 
 
 def _steps(contents: Contents) -> str:
