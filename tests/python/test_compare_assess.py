@@ -9,7 +9,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, grid_shift
+from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, grid_shift, in_words
 from mphygs.compare.noise import NoiseModel, Observation
 from mphygs.fit.experiment import Experiment
 from mphygs.simulate.prediction import Settings
@@ -127,3 +127,16 @@ def test_how_far_the_grid_moves_a_number_is_what_its_own_tangents_say(slope: flo
     assert grid_shift({name: item}, np.zeros((1, 1))) == pytest.approx([0.2])
     rows = item.jacobian[:SPLIT][item.observation.observed[:SPLIT]] / item.observation.sigma
     assert grid_shift({name: item}, np.array([[np.sum(rows**2)]])) == pytest.approx([0.1], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("adequate", "p_value", "words"),
+    [
+        (True, 0.3, "no more than noise"),
+        (False, 1e-9, "more than noise"),
+        # Below the practical floor, or covered by the grid's share: not to be called noise.
+        (True, 1e-9, "more than noise alone, and no more than what a grid has of its own"),
+    ],
+)
+def test_a_misfit_that_is_excused_is_not_called_noise(adequate: bool, p_value: float, words: str) -> None:
+    assert in_words(adequate, p_value) == words

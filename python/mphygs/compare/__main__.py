@@ -14,7 +14,7 @@ import tyro
 
 from mphygs.claim import PICTURES
 from mphygs.command import Answer, CommonOptions, Console, names, plain, run
-from mphygs.compare.assess import Assessment, Compared
+from mphygs.compare.assess import Assessment, Compared, in_words
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.compare.pictures import save_figure, sequence_figure
 from mphygs.compare.roughness import doubted_sigma
@@ -118,8 +118,8 @@ def _text(document: Mapping[str, object]) -> str:
     lines: list[str] = [errors_text(document["sequences"]), ""]
     if document.get("films"):
         lines += [table(image_table(document["sequences"])), ""]
-    verdict = "no more than noise" if document["adequate"] else "more than noise"
     p_value = document["p_value"]
+    verdict = in_words(document["adequate"], p_value)
     lines.append(f"The misfit is {verdict} (p = {p_value:.2g}, the discretisation's share allowed for).")
     budget = document["budget"]
     shares = ", ".join(f"{name} {1e3 * share:.3f} mm" for name, share in budget.items())

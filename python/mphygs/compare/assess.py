@@ -23,6 +23,8 @@ LARGEST_EXCUSED = 1.5 * PRACTICAL_FLOOR
 BUDGET_FLOOR, LARGEST_GRID_ERROR = 1.15, 5.0
 # How far a coordinate that the fitted frames leave open gives way to the discretisation's error: a factor e.
 GIVES_WAY = 1.0
+# Of the test of the floor.
+LEVEL = 0.01
 # Cosines over time by which the discretisation's error may differ from the change under refinement.
 MODULATIONS = 6
 
@@ -121,6 +123,15 @@ class Assessment:
         return max(value for ranges in self.ratio.values() for value in ranges.values())
 
 
+def in_words(adequate: bool, p_value: float) -> str:
+    """What a misfit is, for people."""
+    if not adequate:
+        return "more than noise"
+    if p_value >= LEVEL:
+        return "no more than noise"
+    return "more than noise alone, and no more than what a grid has of its own"
+
+
 def ratios(whitened: Whitened) -> dict[str, dict[str, float]]:
     """Root mean square of the whitened residual per sequence and range ("fit", "predict")."""
     out: dict[str, dict[str, float]] = {}
@@ -157,7 +168,7 @@ def assess(
     *,
     part_centers: np.ndarray,
     block_frames: int = 10,
-    level: float = 0.01,
+    level: float = LEVEL,
 ) -> Assessment:
     """Compare predictions with measurements.
 

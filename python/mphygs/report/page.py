@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 
 from mphygs.capture.format import Capture
+from mphygs.compare.assess import in_words
 from mphygs.diagnose.document import seen_from, spot_lines
 from mphygs.fit.run import Run
 from mphygs.report.html import asset, falling_errors, picture, table, viewer
@@ -64,7 +65,7 @@ def page(contents: Contents) -> str:
 
 def _verdict(contents: Contents) -> str:
     comparison = contents.comparison
-    noise = "no more than noise" if comparison["adequate"] else "more than noise"
+    noise = in_words(comparison["adequate"], comparison["p_value"])
     text = f"The misfit of this model is {noise} (p = {comparison['p_value']:.2g})."
     kind = "adequate" if comparison["adequate"] else "unknown"
     for found in (contents.steps, contents.diagnosis):
