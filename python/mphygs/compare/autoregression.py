@@ -33,6 +33,7 @@ class Autoregression:
 
     @property
     def order(self) -> int:
+        """Number of coefficients, p."""
         return len(self.coefficients)
 
     @property

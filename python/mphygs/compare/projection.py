@@ -25,10 +25,12 @@ class Projection:
 
     @property
     def rank(self) -> int:
+        """Number of directions that are removed."""
         return self.basis.shape[1]
 
     @property
     def parameter_count(self) -> int:
+        """Number of fitted parameters, p."""
         return self.solve.shape[0]
 
     def remaining(self, array: Array) -> Array:

@@ -50,6 +50,7 @@ class Floor:
 
     @property
     def noise_overstated(self) -> bool:
+        """Whether the misfit is too small for the noise that was stated."""
         return self.p_value_low < self.level
 
 

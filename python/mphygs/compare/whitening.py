@@ -98,6 +98,7 @@ class Whitener:
 
     @property
     def row_count(self) -> int:
+        """Number of whitened rows, N."""
         return len(self.frame)
 
     def whiten(self, array: Array) -> Array:

@@ -48,6 +48,7 @@ class Plane:
 
     @property
     def label(self) -> str:
+        """The plane in words, n and d [m]."""
         return "plane n = ({:.2f}, {:.2f}, {:.2f}), d = {:.4f} m".format(*self.normal, self.offset)
 
 

@@ -28,6 +28,7 @@ class Feature:
 
     @property
     def unit(self) -> str:
+        """Of the coefficient."""
         return KINDS[self.kind].unit
 
     @property

@@ -38,6 +38,7 @@ class Term:
 
     @property
     def text(self) -> str:
+        """The coefficient and what it multiplies."""
         return f"{self.coefficient:.3g} {self.expression}"
 
 

@@ -40,6 +40,7 @@ class Base:
 
     @property
     def chi_square(self) -> float:
+        """Sum of squares of the whitened residuals of all sequences."""
         return sum(float(f.residual @ f.residual) for f in self.found.values())
 
 

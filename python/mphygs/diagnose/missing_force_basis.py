@@ -35,6 +35,7 @@ class ForceBasis:
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """Of the values: (H, C, 3)."""
         return self.hats.shape[1], len(self.part), 3
 
     def over_time(self, values: np.ndarray) -> np.ndarray:

@@ -43,10 +43,12 @@ class SeenForce:
 
     @property
     def last(self) -> int:
+        """The last frame + 1."""
         return self.forced.last
 
     @property
     def whitener(self) -> Whitener:
+        """Whitening of the frames in use."""
         return self.observation.whitener(self.first, self.last)
 
     def until(self, last: int) -> SeenForce:
@@ -92,6 +94,7 @@ class Channels:
 
     @classmethod
     def of(cls, seen: SeenForce, belief: Belief) -> Channels:
+        """Of the natural modes at a belief."""
         predictor = seen.forced.predictor
         modes = natural_modes(predictor, belief, MODES)
         carriers = predictor.carriers

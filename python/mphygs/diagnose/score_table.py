@@ -75,6 +75,7 @@ class Score:
 
     @property
     def parameter_count(self) -> int:
+        """Number of the candidate's parameters, q."""
         return len(self.estimate)
 
 

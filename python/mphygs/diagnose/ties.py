@@ -39,6 +39,7 @@ class Tie:
 
     @property
     def remaining(self) -> float:
+        """The smaller of the two readings."""
         return min(self.expected, self.observed)
 
 

@@ -61,6 +61,7 @@ class Refit:
 
     @property
     def belief(self) -> Belief:
+        """The model as refitted."""
         return self.solution.belief
 
     @property

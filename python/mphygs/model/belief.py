@@ -158,13 +158,16 @@ class Belief:
 
     @property
     def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are fitted, in the order of `coordinates`."""
         return tuple(p for p in self.parameters if p.free)
 
     @property
     def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model, in the order in which they were added."""
         return tuple(term.name for term in self.terms)
 
     def term(self, name: str) -> Term:
+        """The term of an effect. Raises KeyError where the model has none of it."""
         for term in self.terms:
             if term.name == name:
                 return term

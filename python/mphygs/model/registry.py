@@ -37,6 +37,7 @@ class EffectSpec:
 
     @property
     def fitted(self) -> tuple[ParameterSpec, ...]:
+        """The parameters that a fit changes."""
         return tuple(p for p in self.parameters if p.fitted)
 
 

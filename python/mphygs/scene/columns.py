@@ -34,10 +34,12 @@ class Strips:
 
     @property
     def middle(self) -> np.ndarray:
+        """Middles of the strips."""
         return 0.5 * (self.low + self.high)
 
     @property
     def width(self) -> np.ndarray:
+        """Widths of the strips."""
         return self.high - self.low
 
 

@@ -71,6 +71,7 @@ class Body:
 
     @property
     def block_count(self) -> int:
+        """Number of blocks of material."""
         return len(self.quadrature.part)
 
     @property

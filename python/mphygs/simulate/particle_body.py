@@ -28,14 +28,17 @@ class ParticleBody(Body):
 
     @property
     def free_block_count(self) -> int:
+        """Number of the grid's blocks: a hold carries none of them."""
         return self.grid.block_count
 
     @property
     def held_points(self) -> np.ndarray:
+        """(R, 3) places on the faces where holds grip [m]."""
         return self.grid.held_points
 
     @property
     def transfer(self) -> str:
+        """Name of the transfer that simulates it."""
         return "mls"
 
     def nearest_free(self, points: np.ndarray) -> np.ndarray:

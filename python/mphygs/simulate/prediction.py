@@ -95,10 +95,12 @@ class Predictor:
 
     @property
     def body(self) -> Body:
+        """The body that the transfer simulates."""
         return self.transfer.body
 
     @property
     def rest_shape(self) -> RestShape:
+        """What tells the shape that bears the loads at rest."""
         return self.transfer.rest_shape
 
     @cached_property

@@ -36,6 +36,7 @@ class Settings:
 
     @property
     def number(self) -> type:
+        """The core's type of numbers. Raises ValueError for an unknown dtype."""
         if self.dtype not in ("float32", "float64"):
             raise ValueError(f"dtype '{self.dtype}': expected float32 or float64")
         return np.float32 if self.dtype == "float32" else np.float64

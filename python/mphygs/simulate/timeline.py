@@ -38,6 +38,7 @@ class Timeline:
 
     @property
     def substeps(self) -> int:
+        """Number of substeps of all frames."""
         return int(self.schedule["steps"].sum())
 
     @property

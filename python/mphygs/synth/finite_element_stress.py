@@ -27,6 +27,7 @@ def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def transposed(a: np.ndarray) -> np.ndarray:
+    """Of (3, 3, Q)."""
     return a.swapaxes(0, 1)
 
 

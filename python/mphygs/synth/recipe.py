@@ -87,6 +87,7 @@ class Recipe:
         return sum(self.materials[part.name].density * part.volume for part in self.shape.parts)
 
     def of_kind(self, kind: str) -> tuple[Hidden, ...]:
+        """What is hidden of one kind: effect, fault or cause."""
         return tuple(h for h in self.hidden if h.kind == kind)
 
 

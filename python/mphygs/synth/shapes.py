@@ -37,6 +37,7 @@ class Shape:
 
     @property
     def part_names(self) -> tuple[str, ...]:
+        """Names of the parts."""
         return tuple(part.name for part in self.parts)
 
 
