@@ -12,6 +12,7 @@ from scipy.stats import norm
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, entry_of, recorded
 from mphygs.capture.holds import Load
+from mphygs.compare.noise import Observation
 from mphygs.diagnose import rank as ranking
 from mphygs.diagnose.candidates import SINCE_THE_START
 from mphygs.diagnose.contact_search import Plane
@@ -20,9 +21,10 @@ from mphygs.diagnose.rank import Entry, rank
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
+from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
-from mphygs.simulate.prediction import Settings
+from mphygs.simulate.prediction import Predictor, Settings
 
 MASS = 6e-3  # [kg], of a bar of 26 g
 HUNG = Load(np.array([[0.05, 0.0, 0.0], [0.06, 0.02, 0.02]]), np.array([0.0, 0.0, -9.81 * MASS]), 0)
@@ -124,6 +126,30 @@ def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.
     assert sorted(start["contact.d"].value for start in starts) == [-0.2, -0.014, -0.012]
     (sizes,) = ranked("plasticity").entries
     assert sizes.others == ()
+
+
+def test_what_is_tried_is_read_off_the_sequence_that_is_off_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The weight hangs in b: the first recording, a, has hardly a misfit, and shows no wall that b meets."""
+    experiment, fitted = scene()
+    assert fitted.evaluation.worst == "b"
+    seen: dict[str, object] = {}
+
+    def found(problem: Problem, observation: Observation, *_: object, **__: object) -> list:
+        seen["walls"] = next(iter(problem.ranges)), observation
+        return []
+
+    def yields(predictor: Predictor, *_: object) -> list:
+        seen["yields"] = predictor.recording.name
+        return []
+
+    monkeypatch.setattr(ranking, "walls", found)
+    monkeypatch.setattr(ranking, "plasticity_trials", yields)
+    monkeypatch.setattr(ranking, "_peaks", lambda residual, *_: seen.update(peaks=residual) or [2.0])
+    ranked("contact", "plasticity", "base_motion")
+    assert seen["walls"] == ("b", experiment.observations["b"]) and seen["yields"] == "b"
+    first, last = experiment.fitted["b"]
+    off = experiment.observations["b"].position[first:last] - fitted.evaluation.positions["b"][first:last]
+    np.testing.assert_array_equal(seen["peaks"], off)
 
 
 def test_a_softer_object_may_meet_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:

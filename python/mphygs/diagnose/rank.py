@@ -180,8 +180,7 @@ def rank(
     prior = prior[np.abs(prior).sum(1) > 0]
     full_residual = np.r_[residual, np.zeros(len(prior))]
     full_jacobian = np.vstack([jacobian, prior])
-    first_name = next(iter(problem.ranges))
-    body = problem.predictors[first_name].body
+    body = next(iter(problem.predictors.values())).body
     hung = masses_of_loads(experiment.capture, list(problem.ranges))
     ways = smooth_ways(belief, body, names=names, hung=hung)
     if names is None or "base_motion" in names:
@@ -189,9 +188,10 @@ def rank(
             n: experiment.observations[n].position[a:b] - evaluation.positions[n][a:b]
             for n, (a, b) in problem.ranges.items()
         }
-        fps = experiment.capture.sequence(first_name).fps
-        slow = [share * fps / len(misfits[first_name]) for share in SLOW]
-        ways += base_motion_ways(belief, [*_peaks(misfits[first_name], fps, FREQUENCIES), *slow])
+        worst = evaluation.worst
+        fps = experiment.capture.sequence(worst).fps
+        slow = [share * fps / len(misfits[worst]) for share in SLOW]
+        ways += base_motion_ways(belief, [*_peaks(misfits[worst], fps, FREQUENCIES), *slow])
     if _off_at_the_start(experiment, problem, evaluation):
         ways += late_ways(belief, body, names=names)
     # Decoys draw numbers of their own: the rest is the same with and without them.
@@ -373,8 +373,10 @@ def _trials(
     report: Callable[[str], None] | None,
 ) -> list[Entry]:
     """Threshold effects, soft holds, masses of known loads: the best of a few finite trials each, with the
-    p-value of the best of so many."""
-    name, (_first, last) = next(iter(problem.ranges.items()))
+    p-value of the best of so many. What is tried is read off the sequence that is off most."""
+    name = evaluation.worst
+    _first, last = problem.ranges[name]
+    problem = problem.with_ranges({name: problem.ranges[name], **problem.ranges})
     observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
     if names is None or "contact" in names:

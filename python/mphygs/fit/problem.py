@@ -46,6 +46,11 @@ class Evaluation:
         return float(r @ r)
 
     @property
+    def worst(self) -> str:
+        """Name of the sequence that is off most, by its mean square."""
+        return max(self.rows, key=lambda name: np.mean(self.residual[self.rows[name]] ** 2))
+
+    @property
     def misfit(self) -> float:
         """Root mean square of the measured rows [sigma]."""
         return (self.chi_square / max(self.data_rows, 1)) ** 0.5
