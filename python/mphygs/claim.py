@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mphygs.command import OptionError
-from mphygs.fit.run import DOCUMENT, FORMAT
+from mphygs.fit.run import DOCUMENT, FORMAT, same_file
 from mphygs.image_stages import FOLDER
 
 # What other commands found with a run that stands there no more.
@@ -15,6 +15,7 @@ STALE = (
     "diagnosis.json", "diagnosis-so-far.json", "steps.json", "comparison.json", "report.html",
     "missing-force.safetensors", "missing_force.py",
 )  # fmt: skip
+COMPARISON = "comparison.json"
 # Pictures that `compare` drew of it.
 PICTURES = "pictures"
 
@@ -51,12 +52,26 @@ def claim_capture(folder: Path) -> None:
         raise OptionError(f"--out {folder}: has files that were not made here; expected a new folder")
 
 
-def clear(folder: Path, more: Sequence[str] = ()) -> None:
-    """Take away what was found with the run before, which is not true of the one that is written now."""
+def clear(folder: Path, more: Sequence[str] = (), *, plugin: str | Path | None = None) -> None:
+    """Take away what was found with the run before, which is not true of the one that is written now.
+
+    plugin: the file of effects that the new run uses, which stays wherever it is.
+    """
+    for drawn in _drawn(folder):
+        drawn.unlink(missing_ok=True)
     for name in (*STALE, *more):
-        (folder / name).unlink(missing_ok=True)
-    for drawn in (*(folder / PICTURES).glob("*.png"), *(folder / PICTURES).glob("*.mp4")):
-        drawn.unlink()
+        if plugin is None or not same_file(folder / name, plugin):
+            (folder / name).unlink(missing_ok=True)
+
+
+def _drawn(folder: Path) -> list[Path]:
+    """Pictures and films that the comparison kept in a folder tells of, those inside it."""
+    try:
+        told = json.loads((folder / COMPARISON).read_text(encoding="utf-8"))
+        names = [Path(path).name for key in ("pictures", "films") for path in told.get(key, ())]
+    except (OSError, ValueError, TypeError, AttributeError):
+        return []
+    return [folder / PICTURES / name for name in names]
 
 
 def _check_place(folder: Path) -> None:

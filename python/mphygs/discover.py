@@ -14,13 +14,14 @@ import tyro
 
 from mphygs.capture.format import load_capture
 from mphygs.claim import claim, clear
-from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
+from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.__main__ import diagnosis_document, drift_entries, known_effects, ranking_entries
 from mphygs.diagnose.missing_force_document import (
     keep_missing_force,
     missing_force_text,
     unexplained,
+    with_plugin_in,
 )
 from mphygs.diagnose.rank import Ranking
 from mphygs.extend.__main__ import DOCUMENT
@@ -29,17 +30,17 @@ from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
 from mphygs.extend.step import Step
 from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.extend.window import passed_on_the_way
-from mphygs.fit.__main__ import RUNS, FitOptions, check_options, chosen_ranges, fitted
+from mphygs.fit.__main__ import RUNS, FitOptions, check_options, fitted
 from mphygs.fit.countdown import duration
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
-from mphygs.fit.schedule import default_spacing, screening_spacing
+from mphygs.fit.schedule import screening_spacing
 from mphygs.image_stages import FOLDER, has_stages, run_stages
 from mphygs.model.belief import Belief
 from mphygs.model.user_effect import load_plugin
-from mphygs.simulate.settings import Settings, check_effects
+from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs discover"
 # The first model's fit, kept inside the run folder.
@@ -106,21 +107,15 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         seen = assembled(seen, given["stages"] / FOLDER)
         # the loop judges by tracks: a belief between them and the pictures is no minimum of theirs
         given["without"] = "l2d"
-    if not options.resume:
-        if seen is not None:
-            settings = Settings(options.spacing or default_spacing(seen))
-            begun = chosen_ranges(seen, settings, names(options.sequences), options.frames)
-            if options.spacing is not None:
-                begun.problem(options.spacing)
-        # Only now: nothing that is at fault may take an older run's results away.
-        clear(out, ("run.json",))
     screening = options.spacing is None and seen is not None
     if screening:
         given["spacing"] = screening_spacing(seen)
     resume_fit = options.resume and (first / "run.json").is_file()
     first_options = FitOptions(**(given | {"out": first, "resume": resume_fit}))
     again = _again(options, out)
-    state, capture = fitted(first_options, console, screening=screening, again=again)
+    # Only once the fit begins: nothing that is at fault may take an older run's results away.
+    ready = None if options.resume else lambda: clear(out, ("run.json",), plugin=options.plugin)
+    state, capture = fitted(first_options, console, screening=screening, again=again, ready=ready)
     console.resume = again
     if kept.get("verdict"):
         answer = {key: kept[key] for key in ANSWER} | {"missing_force": kept.get("missing_force")}
@@ -230,6 +225,7 @@ def _conclude(
         missing = unexplained(
             experiment, kept.belief, kept.spacing, seed=state.seed, start=kept.halfway, report=console.say
         )
+        missing = with_plugin_in(missing, out, state.options.get("plugin"))
     answer = {
         "steps": done.documents,
         "verdict": found.verdict,
@@ -241,7 +237,7 @@ def _conclude(
     given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
     run_at(state, out, found.steps[-1], experiment, options=given, answer=answer).save()
-    keep_missing_force(missing, out)
+    keep_missing_force(missing, out, state.options.get("plugin"))
     entries, drift = done.ranking, done.drift
     if entries is None and found.rankings:
         entries = ranking_entries(found.steps, found.rankings[0], experiment)

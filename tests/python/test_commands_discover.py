@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,9 +11,11 @@ from command_example import ETA, SPACING, answer, call, make_capture
 from mphygs import discover, predict
 from mphygs.compare import __main__ as compare
 from mphygs.diagnose import __main__ as diagnose
+from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_force, with_plugin_in
 from mphygs.extend import __main__ as extend
 from mphygs.extend import kept as kept_steps
 from mphygs.fit import __main__ as fit
+from mphygs.fit import run as run_module
 from mphygs.fit.run import load_run
 
 CANDIDATES = "viscosity,gravity"
@@ -57,6 +60,30 @@ def test_extend_says_when_an_effect_does_not_pay(elastic: Path, tmp_path: Path) 
     assert found["effects"] == []
     code, out, _ = call(extend.main, viscous, "eigenstrain", "--out", tmp_path / "more")
     assert code == 0 and "eigenstrain does not pay on unseen frames" in out
+
+
+@pytest.mark.parametrize(
+    ("adequate", "paying", "explained", "verdict"),
+    [
+        (True, [], True, "adequate"),
+        # Once an effect was added, also to a model that was at the floor, it is missing in that.
+        (True, ["viscosity"], True, "missing"),
+        (False, ["viscosity", "time_offset"], True, "missing"),
+        (False, ["time_offset"], True, "measurement"),
+        (False, ["viscosity"], False, "unknown"),
+    ],
+)
+def test_the_verdict_of_an_extension(
+    adequate: bool, paying: list[str], explained: bool, verdict: str
+) -> None:
+    assert extend.verdict_of(adequate, paying, explained) == verdict
+
+
+@pytest.mark.parametrize("text", ["[1]", '{"steps": [{}]}', '{"steps": 3}', "\x00"])
+def test_steps_that_are_damaged_are_refused(text: str, elastic: Path, tmp_path: Path) -> None:
+    (tmp_path / "steps.json").write_text(text)
+    code, out, err = call(extend.main, elastic, "viscosity", "--out", tmp_path, "--resume")
+    assert (code, out) == (2, "") and "steps.json: " in err and err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -289,6 +316,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
         (fit.main, "CAPTURE", "--sequences", "nobody"),
         # No cell of this grid holds the bar's material.
         (discover.main, "CAPTURE", "--spacing", "10"),
+        (discover.main, "CAPTURE", "--spacing", "10", "--transfer", "mls"),
         (fit.main, "CAPTURE", "--spacing", "10"),
         (fit.main, "CAPTURE", "--spacing", "inf"),
     ],
@@ -306,6 +334,41 @@ def test_what_is_at_fault_takes_nothing_away(
     code, _, err = call(command, *words, "--out", out)
     assert code == 2 and err.count("\n") == 1
     assert snapshot(out) == before
+
+
+def test_a_fit_leaves_the_plugin_that_it_uses(
+    elastic: Path, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The effect that a diagnosis has written is used from where it is, for a fit to the same folder."""
+    out = tmp_path / "run"
+    shutil.copytree(elastic, out)
+    plugin = out / "missing_force.py"
+    plugin.write_text("mine")
+    for module in (fit, discover, run_module):
+        monkeypatch.setattr(module, "load_plugin", lambda _path: ("own",))
+    answer(fit.main, capture, "--out", out, "--spacing", SPACING, "--plugin", plugin)
+    assert plugin.read_text() == "mine" and load_run(out).options["plugin"] == str(plugin.resolve())
+    # Nor does a diagnosis of that run write over it, or take it away.
+    explained = SimpleNamespace(formula=None, features=())
+    found = Unexplained(None, (), explained, (), in_plugin=True)
+    assert with_plugin_in(found, out, plugin).in_plugin is False
+    assert with_plugin_in(found, tmp_path, plugin) is found and with_plugin_in(None, out, plugin) is None
+    with_plugin_in(found, out, plugin).save(out)
+    keep_missing_force(None, out, str(plugin))
+    assert plugin.read_text() == "mine" and not (out / "missing-force.safetensors").exists()
+    keep_missing_force(None, out)
+    assert not plugin.exists()
+
+
+def test_only_pictures_of_the_run_before_are_taken_away(elastic: Path, capture: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    shutil.copytree(elastic, out)
+    drawn = [Path(path) for path in answer(compare.main, out)["pictures"]]
+    (out / "pictures" / "mine.png").write_text("mine")
+    assert drawn and all(path.is_file() and path.parent == out / "pictures" for path in drawn)
+    answer(fit.main, capture, "--out", out, "--spacing", SPACING)
+    assert [path.name for path in (out / "pictures").iterdir()] == ["mine.png"]
+    assert not (out / "comparison.json").exists()
 
 
 def test_no_run_is_written_over_what_is_none(elastic: Path, capture: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, recorded
+from mphygs.compare.allowance import Allowance
 from mphygs.compare.projection import project_out
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.spots import STRETCH, Spots
@@ -57,6 +58,26 @@ def test_what_would_have_to_drift_is_told_with_its_place_and_time(scene: tuple) 
     assert found[0].z == pytest.approx(float(freed @ wrong) / np.linalg.norm(freed), rel=1e-6)
     # Noise alone calls for nothing.
     assert Spots.of(experiment, problem, residual, jacobian).of_columns(jacobian, FREE) == ()
+
+
+def test_stretches_are_of_each_sequence_and_the_grids_share_is_allowed_for(scene: tuple) -> None:
+    experiment, problem, _evaluation, truth = scene
+    uneven = problem.with_ranges({"a": (0, 23), "b": (4, FRAMES)})
+    evaluation = uneven.evaluate(truth)
+    rows, jacobian = evaluation.data_rows, -evaluation.jacobian
+    residual = np.r_[evaluation.residual[:rows], np.zeros(len(jacobian) - rows)]
+    spots = Spots.of(experiment, uneven, residual, jacobian)
+    for name, (first, last) in uneven.ranges.items():
+        mine = [frames for sequence, _part, frames in spots.places if sequence == name]
+        assert min(a for a, _ in mine) == first and max(b for _, b in mine) == last
+    # What a refinement of the grid would change as much is the grid's, wherever it is.
+    change = np.zeros(len(residual))
+    change[:rows] = np.cos(np.arange(rows))
+    off = residual + change
+    (first, *_) = Spots.of(experiment, uneven, off, jacobian).of_columns(change[:, None], ("e",))
+    assert first.z > 5.0
+    known = Allowance(directions=change[:, None])
+    assert Spots.of(experiment, uneven, off, jacobian, known).of_columns(change[:, None], ("e",)) == ()
 
 
 def test_a_ranking_tells_where_and_when_its_effects_are_wanted(scene: tuple) -> None:

@@ -21,6 +21,7 @@ from mphygs.diagnose.missing_force_document import (
     keep_missing_force,
     missing_force_text,
     unexplained,
+    with_plugin_in,
 )
 from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import Ranking, rank
@@ -146,7 +147,8 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     missing = None
     if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
         missing = unexplained(experiment, belief, spacing, seed=state.seed, report=console.say)
-    keep_missing_force(missing, state.folder)
+    missing = with_plugin_in(missing, state.folder, state.options.get("plugin"))
+    keep_missing_force(missing, state.folder, state.options.get("plugin"))
     motions = motions_to_record(found, experiment, trying, report=console.say)
     document = diagnosis_document(found, entries, missing, motions, drift=drift)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")

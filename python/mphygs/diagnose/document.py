@@ -111,7 +111,11 @@ def diagnosis_text(document: Mapping[str, object]) -> list[str]:
             + (f"; refitted: falls by {entry['refitted']:.1f}" if entry["refitted"] is not None else "")
         )
     lines += spot_lines(document)
-    unseen = [entry for entry in document["ranking"] if entry["p_value"] > LEVEL and seen_from(entry)]
+    unseen = [
+        entry
+        for entry in document["ranking"]
+        if entry["p_value"] > LEVEL and entry["effect"] not in document["effects"] and seen_from(entry)
+    ]
     if unseen:
         lines += ["", "not found, and would have been found from this far off their null:"]
         lines += [f"  {entry['effect']}: {seen_from(entry)}" for entry in unseen]
@@ -119,9 +123,13 @@ def diagnosis_text(document: Mapping[str, object]) -> list[str]:
 
 
 def spot_lines(document: Mapping[str, object]) -> list[str]:
-    """Where and when the leading effect of a diagnosis is wanted, and what would have to drift."""
+    """Where and when the effect that a diagnosis names first is wanted, or the first of a ranking that names
+    none, and what would have to drift; nothing of a model that needs nothing."""
     lines = []
-    leading = next(iter(document["ranking"]), {})
+    if document["verdict"] == "adequate":
+        return lines
+    ranking, named = document["ranking"], document["effects"][:1]
+    leading = next((entry for entry in ranking if entry["effect"] in named), next(iter(ranking), {}))
     if leading.get("where"):
         lines += ["", f"{leading['effect']} is wanted most in", *map(_spot_text, leading["where"])]
     if document.get("drift"):

@@ -16,6 +16,7 @@ from mphygs.diagnose.force_readings import WORDS, ForceSample, direction, nature
 from mphygs.diagnose.force_regression import Explained, formula_of
 from mphygs.diagnose.missing_force import Found, MissingForce, missing_force
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.run import same_file
 from mphygs.fit.schedule import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -29,12 +30,14 @@ WORTH_TELLING = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
-    """missing: the force; samples: of every sequence; explained: its formula."""
+    """missing: the force; samples: of every sequence; explained: its formula; in_plugin: whether that may be
+    written as an effect."""
 
     missing: MissingForce
     samples: tuple[ForceSample, ...]
     explained: Explained
     part_names: tuple[str, ...]
+    in_plugin: bool = True
 
     def document(self) -> dict[str, object]:
         """The JSON."""
@@ -67,6 +70,8 @@ class Unexplained:
         }
 
     def _plugin(self) -> str | None:
+        if not self.in_plugin:
+            return None
         return plugin_text(self.explained.formula, self.explained.features, self.part_names)
 
     def save(self, folder: Path) -> None:
@@ -123,10 +128,24 @@ def unexplained(
     return Unexplained(missing, samples, explained, names)
 
 
-def keep_missing_force(found: Unexplained | None, folder: Path) -> None:
-    """Write what was found into a run folder, and nothing of an earlier search."""
+def with_plugin_in(
+    found: Unexplained | None, folder: Path, plugin: str | Path | None
+) -> Unexplained | None:
+    """What was found, to be kept in a folder. plugin: of the run: where that is the file that an effect would
+    be written to, none is."""
+    if found is None or plugin is None or not same_file(folder / PLUGIN, plugin):
+        return found
+    return replace(found, in_plugin=False)
+
+
+def keep_missing_force(found: Unexplained | None, folder: Path, plugin: str | Path | None = None) -> None:
+    """Write what was found into a run folder, and nothing of an earlier search.
+
+    plugin: file of effects that the run uses: it stays.
+    """
     for stale in (NUMBERS, PLUGIN):
-        (folder / stale).unlink(missing_ok=True)
+        if plugin is None or not same_file(folder / stale, plugin):
+            (folder / stale).unlink(missing_ok=True)
     if found is not None:
         found.save(folder)
 

@@ -219,7 +219,7 @@ def rank(
     testable = any(score.testable for score in table.scores)
     family = simulate_family(table, generator=generator) if testable else None
     decoys, decoy_statistic = _decoys(full_residual, full_jacobian, fakes, known, generator.spawn(1)[0])
-    spots = Spots.of(experiment, problem, full_residual, full_jacobian)
+    spots = Spots.of(experiment, problem, full_residual, full_jacobian, known)
     best: dict[str, tuple[Way, Score]] = {}
     tangent_of = {way.label: candidate.tangent for way, candidate in zip(ways, candidates, strict=True)}
     for way, score in zip(ways, table.scores, strict=True):

@@ -96,18 +96,12 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
         if not number:
             # Only now: nothing that is at fault may take an older run's results away.
             out.mkdir(parents=True, exist_ok=True)
-            clear(out, ("run.json",))
+            clear(out, ("run.json",), plugin=state.options.get("plugin"))
         write_kept(out / DOCUMENT, plain(done.document(experiment) | {"asked": wanted}))
         console.resume = " ".join(again)
     documents = done.documents
     paying = [name for name, told in zip(wanted, documents[1:], strict=True) if told["pays"]]
-    physics = [name for name in paying if effect(name).kind != "measurement"]
-    if documents[0]["adequate"] and not paying:
-        verdict = "adequate"
-    elif not steps[-1].explained:
-        verdict = "unknown"
-    else:
-        verdict = "missing" if physics else "measurement"
+    verdict = verdict_of(documents[0]["adequate"], paying, steps[-1].explained)
     document = {"steps": documents, "verdict": verdict, "effects": paying, "run": str(out)}
     given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
@@ -115,6 +109,20 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     extended.save()
     write_kept(out / DOCUMENT, plain(document | {"asked": wanted}))
     return Answer(document, _text(document, wanted))
+
+
+def verdict_of(adequate: bool, paying: Sequence[str], explained: bool) -> str:
+    """The verdict of an extension.
+
+    adequate: of the first model; paying: added effects that pay on unseen frames; explained: whether the last
+    model is at the floor.
+    """
+    if adequate and not paying:
+        return "adequate"
+    if not explained:
+        return "unknown"
+    physics = any(effect(name).kind != "measurement" for name in paying)
+    return "missing" if physics else "measurement"
 
 
 def _kept(out: Path, wanted: Sequence[str]) -> dict:

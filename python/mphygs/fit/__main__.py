@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -104,10 +104,18 @@ def fit(options: FitOptions, console: Console) -> Answer:
 
 
 def fitted(
-    options: FitOptions, console: Console, *, screening: bool = False, again: str | None = None
+    options: FitOptions,
+    console: Console,
+    *,
+    screening: bool = False,
+    again: str | None = None,
+    ready: Callable[[], None] | None = None,
 ) -> tuple[Run, Capture]:
-    """The complete run of these options, and its capture. screening: see `plan_of`; again: the command line
-    that goes on when it is stopped, where the fit is part of another command."""
+    """The complete run of these options, and its capture.
+
+    screening: see `plan_of`; again: the command line that goes on when it is stopped, where the fit is part
+    of another command; ready: called when nothing is at fault, before anything is written.
+    """
     if options.plugin is not None:
         load_plugin(options.plugin)
     if options.resume and not _in_stages(options):
@@ -121,7 +129,9 @@ def fitted(
     # What is at fault with the capture on this grid is said here, before an older run is taken away.
     experiment.problem(state.settings.spacing)
     if not state.history and not state.answer:
-        clear(state.folder)
+        clear(state.folder, plugin=options.plugin)
+    if ready is not None:
+        ready()
     console.resume = again or f"{PROGRAM} --out {shlex.quote(str(state.folder))} --resume"
     state.save()
     console.say(

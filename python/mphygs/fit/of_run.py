@@ -30,6 +30,7 @@ def capture_of(run: Run) -> Capture:
         raise ValueError(
             f"{run.capture}: has changed since {run.folder} was fitted; expected the same capture"
         )
+    _check_places(run, capture)
     return capture
 
 
@@ -61,9 +62,7 @@ def experiment_of(
     """
     settings = run.settings if workers is None else replace(run.settings, workers=workers)
     if other is None:
-        capture = capture_of(run)
-        _check_places(run, capture)
-        experiment = Experiment(capture, settings, dict(run.ranges))
+        experiment = Experiment(capture_of(run), settings, dict(run.ranges))
         for name, left_out in run.left_out.items():
             _leave_out(experiment, name, np.array(left_out))
         return experiment, run.belief

@@ -48,7 +48,8 @@ class Evaluation:
     @property
     def worst(self) -> str:
         """Name of the sequence that is off most, by its mean square."""
-        return max(self.rows, key=lambda name: np.mean(self.residual[self.rows[name]] ** 2))
+        squares = {name: self.residual[rows] ** 2 for name, rows in self.rows.items()}
+        return max(squares, key=lambda name: np.mean(squares[name]) if len(squares[name]) else -1.0)
 
     @property
     def misfit(self) -> float:

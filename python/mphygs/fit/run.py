@@ -187,6 +187,11 @@ def _replace_file(path: Path, content: bytes) -> None:
     os.replace(part, path)
 
 
+def same_file(one: Path, other: str | Path) -> bool:
+    """Whether both are there and the same file."""
+    return one.exists() and Path(other).exists() and one.samefile(other)
+
+
 def is_run(folder: Path) -> bool:
     """Whether a folder holds a run."""
     return (folder / DOCUMENT).is_file()
