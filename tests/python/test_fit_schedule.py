@@ -239,7 +239,6 @@ def test_the_loop_asks_for_a_screening_fit_unless_the_grid_is_chosen(
 
     monkeypatch.setattr(discover_command, "fitted", fitted)
     monkeypatch.setattr(discover_command, "load_capture", lambda _path: bar_capture(frames=10))
-    monkeypatch.setattr(discover_command, "chosen_ranges", lambda *_: None)  # nothing is measured here
     options = discover_command.DiscoverOptions(capture=tmp_path, out=tmp_path / "run", spacing=spacing)
     with pytest.raises(SimulationError):
         discover_command.loop(options, Console(io.StringIO()))
