@@ -11,11 +11,11 @@ from mphygs.fit.run import DOCUMENT, FORMAT, same_file
 from mphygs.image_stages import FOLDER
 
 # What other commands found with a run that stands there no more.
+COMPARISON = "comparison.json"
 STALE = (
-    "diagnosis.json", "diagnosis-so-far.json", "steps.json", "comparison.json", "report.html",
+    "diagnosis.json", "diagnosis-so-far.json", "steps.json", COMPARISON, "report.html",
     "missing-force.safetensors", "missing_force.py",
 )  # fmt: skip
-COMPARISON = "comparison.json"
 # Pictures that `compare` drew of it.
 PICTURES = "pictures"
 
