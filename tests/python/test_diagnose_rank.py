@@ -14,6 +14,7 @@ from extend_example import SPACING, entry_of, recorded
 from mphygs.capture.holds import Load
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import rank as ranking
+from mphygs.diagnose import shaking
 from mphygs.diagnose.candidates import SINCE_THE_START
 from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.document import ranking_document
@@ -144,7 +145,7 @@ def test_what_is_tried_is_read_off_the_sequence_that_is_off_most(monkeypatch: py
 
     monkeypatch.setattr(ranking, "walls", found)
     monkeypatch.setattr(ranking, "plasticity_trials", yields)
-    monkeypatch.setattr(ranking, "_peaks", lambda residual, *_: seen.update(peaks=residual) or [2.0])
+    monkeypatch.setattr(shaking, "peaks", lambda residual, *_: seen.update(peaks=residual) or [2.0])
     ranked("contact", "plasticity", "base_motion")
     assert seen["walls"] == ("b", experiment.observations["b"]) and seen["yields"] == "b"
     first, last = experiment.fitted["b"]

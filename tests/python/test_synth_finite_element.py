@@ -31,6 +31,7 @@ COMPARED = (
     "relaxation:ratio=1",
     "stiffness_gradient",
     "base_motion:a_y=5:f=3",
+    "base_motion:a_y=9:f=8:phase=-2:pulse=1",
 )
 
 

@@ -48,7 +48,7 @@ class Way:
     values: dict
 
 
-def _way(
+def way_of(
     belief: Belief,
     name: str,
     label: str,
@@ -90,7 +90,7 @@ def mass_way(belief: Belief, place: np.ndarray, digits: int = 3, *, late: bool =
     """A point mass at a place (3,) [m]; digits: of the place in the label; late: see `late_ways`."""
     settings = {"place": np.asarray(place, float).tolist()} | (LATE if late else {})
     label = f"attached_mass at ({_said(place, digits)}){SINCE_THE_START if late else ''}"
-    return _way(belief, "attached_mass", label, ["m"], settings=settings)
+    return way_of(belief, "attached_mass", label, ["m"], settings=settings)
 
 
 def wind_way(belief: Belief, direction: np.ndarray, *, late: bool = False) -> Way:
@@ -104,7 +104,7 @@ def wind_way(belief: Belief, direction: np.ndarray, *, late: bool = False) -> Wa
         said = f"{'+' if direction[axis] > 0.0 else '-'}{'xyz'[axis]}"
     flow = {f"w_{a}": float(FLOW * x) for a, x in zip("xyz", direction, strict=True)}
     label = f"wind towards {said}{SINCE_THE_START if late else ''}"
-    return _way(belief, "wind", label, ["c_d"], values=flow, settings=LATE if late else None)
+    return way_of(belief, "wind", label, ["c_d"], values=flow, settings=LATE if late else None)
 
 
 def _wind_ways(belief: Belief, *, late: bool = False) -> list[Way]:
@@ -123,7 +123,7 @@ def _tether_ways(belief: Belief, body: Body, *, late: bool = False) -> list[Way]
             anchor = dict(
                 zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place + size * step), strict=True)
             )
-            columns += _way(belief, "tether", "", ["k"], values=anchor, settings=settings).columns
+            columns += way_of(belief, "tether", "", ["k"], values=anchor, settings=settings).columns
         said = _said(place, place_digits(body))
         ways.append(
             Way(
@@ -149,7 +149,7 @@ def late_ways(belief: Belief, body: Body, *, names: Sequence[str] | None = None)
     ways: list[Way] = []
     if "gravity" in wanted:
         label = f"gravity{SINCE_THE_START}"
-        ways.append(_way(belief, "gravity", label, [f"delta_g_{a}" for a in "xyz"], settings=LATE))
+        ways.append(way_of(belief, "gravity", label, [f"delta_g_{a}" for a in "xyz"], settings=LATE))
     if "wind" in wanted:
         ways += _wind_ways(belief, late=True)
     if "attached_mass" in wanted:
@@ -195,7 +195,7 @@ def smooth_ways(
     digits = place_digits(body)
 
     def add(name: str, label: str, parameters: Sequence[str], **constants: dict) -> None:
-        ways.append(_way(belief, name, label, parameters, **constants))
+        ways.append(way_of(belief, name, label, parameters, **constants))
 
     if "gravity" in wanted:
         add("gravity", "gravity", [f"delta_g_{a}" for a in "xyz"])
@@ -237,12 +237,12 @@ def smooth_ways(
                 columns = []
                 for k in range(3):
                     settings = {"part": part, "axis": np.eye(3)[k].tolist()}
-                    columns += _way(belief, name, "", ["slope"], settings=settings).columns
+                    columns += way_of(belief, name, "", ["slope"], settings=settings).columns
                 settings = {"part": part, "axes": part_axes(body, number)}
                 ways.append(Way(name, f"{name} of {part}", tuple(columns), np.zeros(3, bool), settings, {}))
     for name in ("time_offset", "length_scale", "frame_drift"):
         if name in wanted:
-            ways.append(_way(belief, name, name, [p.name for p in effects()[name].fitted]))
+            ways.append(way_of(belief, name, name, [p.name for p in effects()[name].fitted]))
     for name, spec in effects().items():
         if name in wanted and spec.site == "user":
             add(name, name, [p.name for p in spec.fitted])
@@ -257,7 +257,7 @@ def base_motion_ways(belief: Belief, frequencies: Sequence[float]) -> list[Way]:
     for f in frequencies:
         columns = []
         for phase in (0.0, float(np.pi / 2)):
-            columns += _way(
+            columns += way_of(
                 belief, "base_motion", "", ["a_x", "a_y", "a_z"], values={"f": float(f), "phase": phase}
             ).columns
         ways.append(
@@ -333,7 +333,7 @@ def starting_effect(way: Way, estimate: np.ndarray, belief: Belief) -> Belief:
         return _with_tether(way, _stiffness(estimate), estimate, belief)
     if name in GRADIENTS:
         return _with_gradient(way, estimate, belief)
-    if name == "base_motion":
+    if name == "base_motion" and not way.values.get("pulse"):
         sine, cosine = estimate[:3], estimate[3:]
         # One phase for all axes: that of the largest amplitude.
         amplitude = np.hypot(sine, cosine)

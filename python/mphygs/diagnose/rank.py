@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
-from mphygs.compare.seen import mean_seen
 from mphygs.diagnose.candidates import (
     LATE,
     Way,
-    base_motion_ways,
     late_ways,
     other_starts,
     smooth_ways,
@@ -25,6 +23,7 @@ from mphygs.diagnose.places import ways_between
 from mphygs.diagnose.power import detectable_strength
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
+from mphygs.diagnose.shaking import shaking_ways
 from mphygs.diagnose.spots import Spot, Spots
 from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.trials import score_trials
@@ -42,9 +41,6 @@ from mphygs.simulate.settings import MLS
 LEVEL = 0.01
 # Effects that do nothing, scored beside the candidates.
 DECOYS = 20
-FREQUENCIES = 2
-# Periods in the frames that are too few for the misfit's spectrum to show.
-SLOW = (0.7, 1.4)
 # Of the fitted frames, the first, in which what came after the shape was taken is to be seen; and a misfit
 # there that is more than noise [sigma].
 EARLY, EARLY_MISFIT = 0.16, 1.25
@@ -95,22 +91,6 @@ class Ranking:
     decoys: DecoyCheck | None = None
     decoy_statistic: float = 0.0
     drift: tuple[Spot, ...] = ()
-
-
-def _peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
-    """Frequencies [Hz] at which the markers' common misfit is largest. residual: (T, M, 3)."""
-    common = mean_seen(residual, 1)
-    common = np.nan_to_num(common - mean_seen(common, 0))
-    power = (np.abs(np.fft.rfft(common * np.hanning(len(common))[:, None], axis=0)) ** 2).sum(1)
-    frequency = np.fft.rfftfreq(len(common), 1.0 / fps)
-    power[frequency < 1.5 * fps / len(common)] = 0.0
-    found: list[float] = []
-    for k in np.argsort(-power):
-        if len(found) == count or power[k] == 0.0:
-            break
-        if all(abs(frequency[k] - f) > 2.5 * fps / len(common) for f in found):
-            found.append(float(frequency[k]))
-    return found
 
 
 def _stack(
@@ -190,8 +170,7 @@ def rank(
         }
         worst = evaluation.worst
         fps = experiment.capture.sequence(worst).fps
-        slow = [share * fps / len(misfits[worst]) for share in SLOW]
-        ways += base_motion_ways(belief, [*_peaks(misfits[worst], fps, FREQUENCIES), *slow])
+        ways += shaking_ways(belief, misfits[worst], fps, problem.ranges[worst][0] / fps)
     if _off_at_the_start(experiment, problem, evaluation):
         ways += late_ways(belief, body, names=names)
     # Decoys draw numbers of their own: the rest is the same with and without them.

@@ -287,7 +287,10 @@ class _Body:
             field = field + np.array([effects["gravity"][f"delta_g_{a}"] for a in "xyz"])
         if "base_motion" in effects:
             values = effects["base_motion"]
-            wave = math.sin(2.0 * math.pi * values["f"] * time + values["phase"])
+            angle = 2.0 * math.pi * values["f"] * time + values["phase"]
+            wave = math.sin(angle)
+            if not 0.0 <= angle <= math.pi:
+                wave *= 1.0 - values["pulse"]
             field = field - wave * np.array([values[f"a_{a}"] for a in "xyz"])
         if "mass_damping" in effects:
             field = field - effects["mass_damping"]["alpha"] * v

@@ -1,4 +1,5 @@
-// The whole frame accelerates: body force -m a sin(2 pi f t + phase).
+// The whole frame accelerates: body force -m a sin(2 pi f t + phase). As a pulse of weight 1 it does so during
+// the first half wave alone, 0 <= 2 pi f t + phase <= pi: it begins at t = -phase / (2 pi f) and lasts 1 / (2 f).
 #pragma once
 
 #include "mphygs/effect.hpp"
@@ -7,17 +8,22 @@ namespace mphygs {
 
 struct BaseMotion {
     static constexpr EffectInfo info{"base_motion", "the frame accelerates: -m a sin(2 pi f t + phase)", Site::body, false,
-                                     false, 0, 5,
+                                     false, 0, 6,
                                      {{"a_x", "m/s^2", 0, -100, 100, 0.5, true},
                                       {"a_y", "m/s^2", 0, -100, 100, 0.5, true},
                                       {"a_z", "m/s^2", 0, -100, 100, 0.5, true},
                                       {"f", "Hz", 2, 0, 1000, 1, true},
-                                      {"phase", "rad", 0, -10, 10, 1, true}}};
+                                      {"phase", "rad", 0, -1e5, 1e5, 1, true},
+                                      {"pulse", "-", 0, 0, 1, 1, false}}};
     static constexpr int uniform_count = 3;
     template <class S>
     static void uniforms(const S* p, typename ScalarOf<S>::type time, typename ScalarOf<S>::type, S* q) {
         using R = typename ScalarOf<S>::type;
-        const S wave = sine(p[3] * (R(6.283185307179586) * time) + p[4]);
+        const S angle = p[3] * (R(6.283185307179586) * time) + p[4];
+        const auto at = value_of(angle);
+        const auto zero = decltype(at){}, half_turn = zero + R(3.141592653589793);
+        const S plain = sine(angle), after = plain * (R(1) - p[5]);
+        const S wave = select(at >= zero, select(at <= half_turn, plain, after), after);
         for (int i = 0; i < 3; ++i) {
             q[i] = -p[i] * wave;
         }

@@ -1,0 +1,104 @@
+"""How the frame may have moved: the swings and the sudden beginnings that a misfit shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mphygs.compare.seen import mean_seen
+from mphygs.diagnose.candidates import Way, base_motion_ways, way_of
+from mphygs.model.belief import Belief
+
+FREQUENCIES = 2
+# Periods in the frames that are too few for the misfit's spectrum to show.
+SLOW = (0.7, 1.4)
+# Moments at which the misfit may begin, and by how much its variance rises there; nearer to an end, in
+# frames, none is told from noise.
+RISES, RISE, NEAR_AN_END = 2, 3.0, 3
+# Widths of a pulse, in periods of the swing that it leaves: a shorter one acts as the shortest does. Its
+# misfit is seen when about so much of it is over.
+PULSE_WIDTHS, SEEN_AT = (0.15, 0.4, 1.0), 0.33
+
+
+def peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
+    """Frequencies [Hz] at which the markers' common misfit is largest. residual: (T, M, 3)."""
+    common = mean_seen(residual, 1)
+    common = np.nan_to_num(common - mean_seen(common, 0))
+    power = (np.abs(np.fft.rfft(common * np.hanning(len(common))[:, None], axis=0)) ** 2).sum(1)
+    frequency = np.fft.rfftfreq(len(common), 1.0 / fps)
+    power[frequency < 1.5 * fps / len(common)] = 0.0
+    found: list[float] = []
+    for k in np.argsort(-power):
+        if len(found) == count or power[k] == 0.0:
+            break
+        if all(abs(frequency[k] - f) > 2.5 * fps / len(common) for f in found):
+            found.append(float(frequency[k]))
+    return found
+
+
+def rises(residual: np.ndarray, count: int) -> list[int]:
+    """Frames at which the misfit's variance rises most, by binary segmentation (Scott & Knott 1974) with the
+    likelihood of normal numbers. residual: (T, M, 3)."""
+    power = mean_seen(residual**2, (1, 2))
+    seen = np.flatnonzero(np.isfinite(power))
+    power = power[seen]
+    found: list[int] = []
+    stretches = [(0, len(power))]
+    while len(found) < count:
+        splits = [split for stretch in stretches if (split := _split(power, *stretch))]
+        if not splits:
+            break
+        _gain, k, stretch = max(splits)
+        found.append(int(seen[k]))
+        stretches.remove(stretch)
+        stretches += [(stretch[0], k), (k, stretch[1])]
+    return found
+
+
+def _split(power: np.ndarray, first: int, last: int) -> tuple[float, int, tuple[int, int]] | None:
+    """Where a stretch of frames falls best into a quieter one and a louder one: gain of log likelihood, first
+    frame of the louder, stretch."""
+    sums = np.r_[0.0, np.cumsum(power[first:last])]
+    count = last - first
+    k = np.arange(NEAR_AN_END, count - NEAR_AN_END + 1)
+    if not len(k):
+        return None
+    before, after = sums[k] / k, (sums[-1] - sums[k]) / (count - k)
+    rising = (before > 0.0) & (after > RISE * before)
+    if not rising.any():
+        return None
+    k, before, after = k[rising], before[rising], after[rising]
+    gain = count * np.log(sums[-1] / count) - k * np.log(before) - (count - k) * np.log(after)
+    best = int(gain.argmax())
+    return float(gain[best]), first + int(k[best]), (first, last)
+
+
+def pulse_ways(belief: Belief, seen: Sequence[float], period: float) -> list[Way]:
+    """Pulses of the frame, each half a sine, of a few widths.
+
+    seen: when their misfits begin to show [s]; period: of the swing that they leave [s].
+    """
+    if "base_motion" in belief.effects:
+        return []
+    ways: dict[str, Way] = {}  # two that would begin before the recording are one
+    for time in seen:
+        for share in PULSE_WIDTHS:
+            width = share * period
+            begin = max(time - SEEN_AT * width, 0.0)
+            values = {"f": 0.5 / width, "phase": -np.pi * begin / width, "pulse": 1.0}
+            label = f"base_motion, a pulse of {width:.3g} s from {begin:.3f} s on"
+            ways[label] = way_of(belief, "base_motion", label, ["a_x", "a_y", "a_z"], values=values)
+    return list(ways.values())
+
+
+def shaking_ways(belief: Belief, residual: np.ndarray, fps: float, begin: float) -> list[Way]:
+    """Harmonic motions of the frame, and pulses, as a misfit suggests them.
+
+    residual: (T, M, 3) [m], NaN where not seen; begin: time of its first frame [s].
+    """
+    swings = peaks(residual, fps, FREQUENCIES)
+    ways = base_motion_ways(belief, [*swings, *(share * fps / len(residual) for share in SLOW)])
+    if swings:
+        ways += pulse_ways(belief, [begin + k / fps for k in rises(residual, RISES)], 1.0 / swings[0])
+    return ways
