@@ -23,7 +23,7 @@ from mphygs.diagnose.missing_force_document import (
     unexplained,
     with_plugin_in,
 )
-from mphygs.diagnose.rank import Ranking
+from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.__main__ import DOCUMENT
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept

@@ -12,7 +12,7 @@ from mphygs.capture.format import Capture
 from mphygs.compare.assess import Assessment
 from mphygs.compare.verdict_floor import Floor
 from mphygs.diagnose.held_out import GainInterval
-from mphygs.diagnose.rank import Entry
+from mphygs.diagnose.ranking import Entry
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution

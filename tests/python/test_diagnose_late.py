@@ -21,7 +21,8 @@ from mphygs.diagnose.candidates import (
     wind_way,
 )
 from mphygs.diagnose.places import mass_between, wind_between
-from mphygs.diagnose.rank import Entry, rank
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Entry
 from mphygs.extend.separate import _way_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise

@@ -14,11 +14,12 @@ from extend_example import SPACING, entry_of, recorded
 from mphygs.capture.holds import Load
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import rank as ranking
-from mphygs.diagnose import shaking
+from mphygs.diagnose import shaking, tried
 from mphygs.diagnose.candidates import SINCE_THE_START
 from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.document import ranking_document
-from mphygs.diagnose.rank import Entry, rank
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
@@ -77,7 +78,7 @@ def scene() -> tuple[Experiment, Solution]:
     return experiment, minimise(experiment.problem(SPACING), belief)
 
 
-def ranked(*names: str, trials: bool = True) -> ranking.Ranking:
+def ranked(*names: str, trials: bool = True) -> Ranking:
     experiment, fitted = scene()
     return rank(
         experiment, fitted.belief, fitted.evaluation, SPACING,
@@ -121,7 +122,7 @@ def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.
     """What explains much before a refit, at a wrong place, may beat the wall that stands there."""
     planes = [Plane(np.array([0.0, 0.0, 1.0]), offset) for offset in (-0.2, -0.012, -0.014)]
     belief = scene()[1].belief
-    monkeypatch.setattr(ranking, "walls", lambda *_a, **_k: [(belief, plane) for plane in planes])
+    monkeypatch.setattr(tried, "walls", lambda *_a, **_k: [(belief, plane) for plane in planes])
     (entry,) = ranked("contact").entries
     starts = [entry.start, *entry.others]
     assert sorted(start["contact.d"].value for start in starts) == [-0.2, -0.014, -0.012]
@@ -143,8 +144,8 @@ def test_what_is_tried_is_read_off_the_sequence_that_is_off_most(monkeypatch: py
         seen["yields"] = predictor.recording.name
         return []
 
-    monkeypatch.setattr(ranking, "walls", found)
-    monkeypatch.setattr(ranking, "plasticity_trials", yields)
+    monkeypatch.setattr(tried, "walls", found)
+    monkeypatch.setattr(tried, "plasticity_trials", yields)
     monkeypatch.setattr(shaking, "peaks", lambda residual, *_: seen.update(peaks=residual) or [2.0])
     ranked("contact", "plasticity", "base_motion")
     assert seen["walls"] == ("b", experiment.observations["b"]) and seen["yields"] == "b"
@@ -162,7 +163,7 @@ def test_a_softer_object_may_meet_a_wall(monkeypatch: pytest.MonkeyPatch) -> Non
         asked.append(share)
         return [(soft, Plane(np.array([0.0, 0.0, 1.0]), -0.012))]
 
-    monkeypatch.setattr(ranking, "walls", found)
+    monkeypatch.setattr(tried, "walls", found)
     (entry,) = rank(
         experiment, fitted.belief, experiment.window(SPACING, 0.5).evaluate(fitted.belief), SPACING,
         share=0.5, generator=np.random.default_rng(0), names=("contact",),
@@ -209,7 +210,7 @@ def test_numbers_are_told_by_the_names_of_the_model() -> None:
 
 def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("walls", "plasticity_trials", "hung_trials"):
-        monkeypatch.setattr(ranking, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
+        monkeypatch.setattr(tried, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
     assert [entry.effect for entry in ranked("viscosity").entries] == ["viscosity"]
 
 

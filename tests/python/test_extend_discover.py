@@ -22,7 +22,7 @@ from extend_example import (
     step_of,
 )
 from mphygs.diagnose.held_out import GainInterval
-from mphygs.diagnose.rank import Entry, Ranking
+from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend import discover, refits, settle, window
 from mphygs.extend.met_again import onward
 from mphygs.extend.refit import Refit

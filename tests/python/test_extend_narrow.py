@@ -10,7 +10,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, assessment_of, entry_of, recorded, solution_of
-from mphygs.diagnose.rank import Ranking
+from mphygs.diagnose.ranking import Ranking
 from mphygs.extend import narrow, refits
 from mphygs.extend.discover import _conclude
 from mphygs.extend.narrow import narrowed

@@ -19,7 +19,7 @@ from extend_example import (
     step_of,
 )
 from mphygs.compare.allowance import Allowance
-from mphygs.diagnose.rank import Ranking
+from mphygs.diagnose.ranking import Ranking
 from mphygs.extend import ranked
 from mphygs.extend.step import Step
 from mphygs.extend.window import HALF, ON_THE_WAY

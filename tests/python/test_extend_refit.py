@@ -17,7 +17,8 @@ from mphygs.compare.autoregression import Autoregression
 from mphygs.diagnose import grid_error
 from mphygs.diagnose.contact_search import Plane, with_wall
 from mphygs.diagnose.held_out import GainInterval
-from mphygs.diagnose.rank import Entry, rank
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Entry
 from mphygs.extend import refit
 from mphygs.extend.known_slopes import _evaluated, approached_from
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain

@@ -24,7 +24,8 @@ from mphygs.diagnose.missing_force_document import (
     with_plugin_in,
 )
 from mphygs.diagnose.next_motion import Proposed
-from mphygs.diagnose.rank import Ranking, rank
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.kept import (
     Kept,

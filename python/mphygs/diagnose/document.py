@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mphygs.diagnose.next_motion import Proposed
-from mphygs.diagnose.rank import LEVEL, Entry, Ranking
+from mphygs.diagnose.ranking import LEVEL, Entry, Ranking
 from mphygs.model.registry import effect
 
 SHOWN = 8

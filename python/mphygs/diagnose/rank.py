@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,29 +16,23 @@ from mphygs.diagnose.candidates import (
     smooth_ways,
     starting_effect,
 )
-from mphygs.diagnose.contact_search import walls, with_wall
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.places import ways_between
 from mphygs.diagnose.power import detectable_strength
+from mphygs.diagnose.ranking import LEVEL, Entry, Ranking
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
 from mphygs.diagnose.shaking import shaking_ways
-from mphygs.diagnose.spots import Spot, Spots
+from mphygs.diagnose.spots import Spots
 from mphygs.diagnose.ties import tied_with
-from mphygs.diagnose.trials import score_trials
-from mphygs.diagnose.trials_of import Trial, compliance_trials, hung_trials, plasticity_trials
+from mphygs.diagnose.tried import tried_effects
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
-from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.settings import MLS
 
-# Of tests, all candidates of a diagnosis together.
-LEVEL = 0.01
 # Effects that do nothing, scored beside the candidates.
 DECOYS = 20
 # Of the fitted frames, the first, in which what came after the shape was taken is to be seen; and a misfit
@@ -49,48 +43,6 @@ EARLY, EARLY_MISFIT = 0.16, 1.25
 TRIAL_WINS = 0.2
 # Of what a late mass promises at the best place: so many next best ones that promise as much are begun from.
 NEARLY_AS_MUCH, ELSEWHERE = 0.8, 4
-
-
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """One effect in its best way.
-
-    start: belief to refit from; others: beliefs that a refit starts from as well; statistic: predicted
-    (trial: actual) drop of chi^2; stands_out: share of decoys at least as significant; detectable: of a
-    parameter alone the smallest size that would have been found, in its unit; spots: where and when it is
-    wanted most.
-    """
-
-    effect: str
-    label: str
-    kind: str
-    statistic: float
-    p_value: float
-    expected_ratio: float
-    estimate: dict[str, float]
-    std: dict[str, float]
-    start: Belief
-    confounded_with: tuple[str, ...] = ()
-    reason: str = ""
-    detectable: Mapping[str, float] = field(default_factory=dict)
-    stands_out: float | None = None
-    others: tuple[Belief, ...] = ()
-    spots: tuple[Spot, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Ranking:
-    """entries: best first, one per effect; chi_square, rows: of fitted frames; table: of all smooth ways;
-    decoys: how effects that do nothing score on the same data; decoy_statistic: the largest drop of chi^2
-    that one of them predicts; drift: fitted coordinates that would have to change for a while, and where."""
-
-    entries: tuple[Entry, ...]
-    chi_square: float
-    rows: int
-    table: ScoreTable | None
-    decoys: DecoyCheck | None = None
-    decoy_statistic: float = 0.0
-    drift: tuple[Spot, ...] = ()
 
 
 def _stack(
@@ -217,7 +169,7 @@ def rank(
             entry = replace(entry, spots=spots.of_columns(tangent_of[way.label], parameters))
         entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
     if trials:
-        tried = _trials(
+        tried = tried_effects(
             experiment, belief, evaluation, problem, share, full_residual, full_jacobian, generator, names,
             report,
         )  # fmt: skip
@@ -337,85 +289,3 @@ def _detectable(effect_name: str, parameters: Sequence[str], score: Score, famil
         if effect_name != "tether" or parameter not in strengths:
             strengths[parameter] = max(float(size), strengths.get(parameter, 0.0))
     return {parameter: size for parameter, size in strengths.items() if np.isfinite(size)}
-
-
-def _trials(
-    experiment: Experiment,
-    belief: Belief,
-    evaluation: Evaluation,
-    problem: Problem,
-    share: float,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    generator: np.random.Generator,
-    names: Sequence[str] | None,
-    report: Callable[[str], None] | None,
-) -> list[Entry]:
-    """Threshold effects, soft holds, masses of known loads: the best of a few finite trials each, with the
-    p-value of the best of so many. What is tried is read off the sequence that is off most."""
-    name = evaluation.worst
-    _first, last = problem.ranges[name]
-    problem = problem.with_ranges({name: problem.ranges[name], **problem.ranges})
-    observation = experiment.observations[name]
-    groups: dict[str, list[Trial]] = {}
-    if names is None or "contact" in names:
-        workers = experiment.settings.workers
-        found = walls(
-            problem, observation, belief, evaluation, share=share, workers=workers, report=report
-        )
-        groups["contact"] = [Trial("contact", plane.label, with_wall(own, plane)) for own, plane in found]
-    if names is None or "plasticity" in names:
-        groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
-    if (names is None or "hold_compliance" in names) and problem.settings.transfer != MLS:
-        groups["hold_compliance"] = compliance_trials(experiment.capture, belief)
-    if names is None or "attached_mass" in names:
-        groups["attached_mass"] = hung_trials(experiment.capture, belief, list(problem.ranges))
-
-    def tried(own: Experiment, trial: Trial) -> Evaluation | None:
-        try:
-            return own.window(problem.settings.spacing, share).evaluate(trial.belief, jacobian=False)
-        except SimulationError:
-            return None
-
-    entries = []
-    for kind, trials in groups.items():
-        if report:
-            for trial in trials:
-                report(f"trial: {trial.effect}, {trial.label}")
-        changes, kept = [], []
-        for trial, moved in zip(trials, side_by_side(experiment, tried, trials), strict=True):
-            if moved is not None:
-                changes.append(
-                    evaluation.residual[: evaluation.data_rows] - moved.residual[: evaluation.data_rows]
-                )
-                kept.append(trial)
-        if not kept:
-            continue
-        matrix = np.vstack(
-            [np.stack(changes, axis=1), np.zeros((len(residual) - len(changes[0]), len(kept)))]
-        )
-        scores = score_trials(residual, jacobian, matrix, generator=generator)
-        trial = kept[scores.best]
-        estimate = {
-            p.key.rsplit(".", 1)[1]: p.value
-            for p in trial.belief.parameters
-            if p.key.startswith(f"{kind}.") and p.free
-        }
-        rows = evaluation.data_rows
-        expected = max(float(residual @ residual) - scores.drop, 0.0)
-        entries.append(
-            Entry(
-                kind,
-                trial.label,
-                effect(kind).kind,
-                float(scores.drop),
-                float(scores.p_value),
-                float(np.sqrt(expected / rows)),
-                estimate,
-                {},
-                trial.belief,
-                # Trials of a wall are places, those of other effects sizes: no way leads from one to another.
-                others=tuple(t.belief for t in kept if t is not trial) if kind == "contact" else (),
-            )
-        )
-    return entries

@@ -11,7 +11,7 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.outliers import bad_observations
-from mphygs.diagnose.rank import Ranking
+from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.anew import anew
 from mphygs.extend.exchange import exchanged
 from mphygs.extend.finer import compared_at

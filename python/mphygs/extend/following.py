@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mphygs.diagnose.rank import Entry
+from mphygs.diagnose.ranking import Entry
 from mphygs.extend.elsewhere import AT_NOISE, relocated_anywhere
 from mphygs.extend.met_again import onward
 from mphygs.extend.setting_in import fit_what_sets_in

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mphygs.diagnose.rank import Entry, Ranking
+from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.step import Step
 from mphygs.extend.steps import left_out_of, restored, state_of, step_document
 from mphygs.fit.belief_document import belief_from_document, document_of_belief

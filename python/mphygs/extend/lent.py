@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.diagnose.rank import Entry, rank
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Entry
 from mphygs.extend.following import LINEAR, Begun, at_their_places
 from mphygs.extend.refit import start_refit
 from mphygs.fit.countdown import Countdown

@@ -9,7 +9,8 @@ import numpy as np
 
 from mphygs.compare.allowance import Allowance
 from mphygs.diagnose.grid_error import allowance_of
-from mphygs.diagnose.rank import Ranking, rank
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.step import Step
 from mphygs.extend.window import ON_THE_WAY, at_other_scales, tractable_window
 from mphygs.fit.experiment import Experiment

@@ -12,7 +12,7 @@ from mphygs.compare.assess import Assessment, Compared, whiten_all
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.grid_error import may_have_all
 from mphygs.diagnose.held_out import GainInterval, gain_interval
-from mphygs.diagnose.rank import Entry
+from mphygs.diagnose.ranking import Entry
 from mphygs.extend.known_slopes import approached_from
 from mphygs.extend.setting_in import placed
 from mphygs.fit.anew import fitted_anew

@@ -10,7 +10,7 @@ import numpy as np
 
 from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.diagnose.grid_error import may_have_all, unabsorbed
-from mphygs.diagnose.rank import Entry, Ranking
+from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.following import (
     BEHIND,
     FINISHED,
