@@ -2,15 +2,21 @@
 #pragma once
 
 #include <algorithm>
+#include <string_view>
 
 #include "mphygs/effect.hpp"
 
 namespace mphygs::test {
 
 /// A value of parameter k away from the null, of usual size and within the bounds. A threshold
-/// effect is absent for a whole range around its null, so its parameters take their usual size.
+/// effect is absent for a whole range around its null, so its parameters take their usual size. A phase is
+/// beyond half a turn, where the weight of a pulse counts, and that weight is small: the wave is left to see.
 inline double trial_value(const EffectInfo& effect, int k) {
     const ParameterInfo& p = effect.parameters[k];
+    const std::string_view name = p.name;
+    if (name == "phase" || name == "pulse") {
+        return name == "phase" ? 4.0 : 0.2;
+    }
     const double value = effect.threshold ? p.scale : p.null + 0.7 * p.scale;
     return std::clamp(value, p.lower, p.upper);
 }
