@@ -10,12 +10,12 @@ namespace mphygs::test {
 
 /// A value of parameter k away from the null, of usual size and within the bounds. A threshold
 /// effect is absent for a whole range around its null, so its parameters take their usual size. A phase is
-/// beyond half a turn, where the weight of a pulse counts, and that weight is small: the wave is left to see.
+/// more than a turn, where the weight of a pulse counts, and that weight is small: the wave is left to see.
 inline double trial_value(const EffectInfo& effect, int k) {
     const ParameterInfo& p = effect.parameters[k];
     const std::string_view name = p.name;
     if (name == "phase" || name == "pulse") {
-        return name == "phase" ? 4.0 : 0.2;
+        return name == "phase" ? 6.283185307179586 + 0.7 * p.scale : 0.1;
     }
     const double value = effect.threshold ? p.scale : p.null + 0.7 * p.scale;
     return std::clamp(value, p.lower, p.upper);
