@@ -9,6 +9,7 @@ from dataclasses import asdict
 import numpy as np
 
 from mphygs.model.belief import Belief, Likeness, Parameter, Term
+from mphygs.model.registry import effects
 
 # Absent where they have these values: JSON has no infinity.
 _ABSENT = {"lower": -math.inf, "upper": math.inf, "prior_std": math.inf, "widest": None}
@@ -51,12 +52,20 @@ def document_of_belief(belief: Belief) -> dict[str, object]:
 
 
 def belief_from_document(document: Mapping[str, object]) -> Belief:
-    """The belief that `document_of_belief` wrote. Raises KeyError, TypeError or ValueError if not."""
+    """The belief that `document_of_belief` wrote. Raises KeyError, TypeError or ValueError if not, or where
+    an effect has been given a parameter since."""
+    parameters = tuple(Parameter(**entry) for entry in document["parameters"])
+    terms = tuple(Term(entry["name"], entry["settings"]) for entry in document["terms"])
+    keys = {parameter.key for parameter in parameters}
+    for term in terms:
+        for p in effects()[term.name].parameters if term.name in effects() else ():
+            if f"{term.name}.{p.name}" not in keys:
+                raise ValueError(f"parameters: expected {term.name}.{p.name} among them")
     return Belief(
         parts=tuple(document["parts"]),
         gravity=np.array(document["gravity"], float),
-        parameters=tuple(Parameter(**entry) for entry in document["parameters"]),
-        terms=tuple(Term(entry["name"], entry["settings"]) for entry in document["terms"]),
+        parameters=parameters,
+        terms=terms,
         prestress=document["prestress"],
         law=document["law"],
         known_mass=document["known_mass"],
