@@ -8,10 +8,14 @@
 //   volume   static void strain(VolumePoint<S>&, const S* q)    changes the elastic deformation
 //            static void stress(VolumePoint<S>&, const S* q)    adds first Piola-Kirchhoff stress
 //            static void body(VolumePoint<S>&, const S* q)      adds acceleration of the particle
+//            and, where dual numbers are too slow a way to the derivatives of `stress`,
+//            struct Linearised<P>                               what it adds, and how that changes (see `VolumeChange`)
 //   body     static Vec3<S> acceleration(const BodyPoint<S>&, const S* q)        [m/s^2]
 //   surface  static Vec3<S> force(const SurfacePoint<S>&, const S* q)            [N]
 //            and, where it acts on little of the surface, so that the rest is passed over,
 //            static bool out_of_reach(const Vec3<P>& position, const P* q)   it is zero at all eight points
+//            and, where it does not look at the position,
+//            static constexpr bool reads_position = false                    for the sake of speed alone
 //   point    static Vec3<S> force(const MaterialPoint<S>&, const S* q)           [N]
 //   mass     no function: adds a mass at a material point (parameter 0) [kg]
 //   hold     no function: acts on the holds, inside the integrator
@@ -129,6 +133,34 @@ concept HasBody = requires(VolumePoint<S>& p, const S* q) { E::body(p, q); };
 
 template <class E, class P>
 concept HasReach = requires(const Vec3<P>& x, const P* q) { E::out_of_reach(x, q); };
+
+template <class E>
+constexpr bool reads_position() {
+    if constexpr (requires { E::reads_position; }) {
+        return E::reads_position;
+    } else {
+        return true;
+    }
+}
+
+/// Directions at a quadrature point, in the lanes of W; history is that of one effect, before and after the substep.
+///
+/// An effect's Linearised<P> is made of eight points at once,
+///     Linearised(const VolumePoint<P>& p, const R* q, const P* history)   p.stress the law's alone, R the plain number,
+/// holds `stress`, what the effect adds at these, and tells of point number i
+///     template <class W> void change(int i, VolumeChange<W>& d, const Dual<W, 1>* q) const   adds to d.stress
+/// which reads a number of d.history before it writes that of d.history_next: they may be the same.
+template <class W>
+struct VolumeChange {
+    Mat3<W> deformation, rate;  // of F [-] and of dF/dt [1/s]
+    Mat3<W> law;                // of the law's stress alone [Pa]
+    Mat3<W> stress;             // of the whole one, so far [Pa]
+    const W* history = nullptr;
+    W* history_next = nullptr;
+};
+
+template <class E, class P>
+concept HasLinearised = requires { typename E::template Linearised<P>; };
 
 /// Where the effects of a list find their numbers in the flat arrays.
 struct EffectSlot {

@@ -120,6 +120,27 @@ inline Mat3<S> inverse(const Mat3<S>& a) {
     const S scale = typename ScalarOf<S>::type(1) / determinant(a, c);
     return scale * transpose(c);
 }
+
+/// One lane of a matrix of packs.
+template <class P>
+inline Mat3<typename ScalarOf<P>::type> in_lane(const Mat3<P>& m, int lane) {
+    Mat3<typename ScalarOf<P>::type> r;
+    MPHYGS_IJ r[i][j] = m[i][j][lane];
+    return r;
+}
+/// A product of which one factor's elements are plain numbers for the other's.
+template <class D, class A, class B>
+[[gnu::always_inline]] inline Mat3<D> mixed_product(const Mat3<A>& a, const Mat3<B>& b) {
+    Mat3<D> r;
+    MPHYGS_IJ r[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j];
+    return r;
+}
+/// Element (a, b) of the change of cof(f) for df. D: S, or wider.
+template <class S, class D>
+inline D cofactor_change(const Mat3<S>& f, const Mat3<D>& df, int a, int b) {
+    const int a1 = (a + 1) % 3, a2 = (a + 2) % 3, b1 = (b + 1) % 3, b2 = (b + 2) % 3;
+    return df[a1][b1] * f[a2][b2] + f[a1][b1] * df[a2][b2] - df[a1][b2] * f[a2][b1] - f[a1][b2] * df[a2][b1];
+}
 #undef MPHYGS_IJ
 
 }  // namespace mphygs

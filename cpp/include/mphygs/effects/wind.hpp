@@ -11,6 +11,7 @@ struct Wind {
                                       {"w_y", "m/s", 0, -50, 50, 1, true},
                                       {"w_z", "m/s", 0, -50, 50, 1, true},
                                       {"c_d", "-", 0, 0, 100, 1, true}}};
+    static constexpr bool reads_position = false;
     template <class S>
     static Vec3<S> force(const SurfacePoint<S>& p, const S* q) {
         const Vec3<S> flow{{q[0], q[1], q[2]}};

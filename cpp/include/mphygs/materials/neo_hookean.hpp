@@ -56,11 +56,8 @@ struct NeoHookean {
             const D dscale = (dlambda * log_j + lambda * volumetric - dmu) * inverse_j - scale * volumetric;
             Mat3<D> dp;
             for (int a = 0; a < 3; ++a) {
-                const int a1 = (a + 1) % 3, a2 = (a + 2) % 3;
                 for (int b = 0; b < 3; ++b) {
-                    const int b1 = (b + 1) % 3, b2 = (b + 2) % 3;
-                    const D dc = df[a1][b1] * f[a2][b2] + f[a1][b1] * df[a2][b2] - df[a1][b2] * f[a2][b1] - f[a1][b2] * df[a2][b1];
-                    dp[a][b] = mu * df[a][b] + dmu * f[a][b] + dscale * c[a][b] + scale * dc;
+                    dp[a][b] = mu * df[a][b] + dmu * f[a][b] + dscale * c[a][b] + scale * cofactor_change(f, df, a, b);
                 }
             }
             return dp;

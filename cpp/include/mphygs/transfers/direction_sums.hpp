@@ -49,6 +49,38 @@ template <class W, class T, std::size_t... i>
     }
 }
 
+template <class W, class T, std::size_t... q>
+[[gnu::always_inline]] inline void point_values(const W* field, const Rows& rows, const T* weight, Vec3<W>* to,
+                                                std::index_sequence<q...>) {
+    W x[sizeof...(q)] = {}, y[sizeof...(q)] = {}, z[sizeof...(q)] = {};
+    for (int r = 0; r < row_count_27; ++r) {
+        const W* node = field + 3 * rows[r];
+#pragma GCC unroll 3
+        for (int k = 0; k < 3; ++k, node += 3, weight += lane_count) {
+            const W at[3] = {node[0], node[1], node[2]};
+            ((x[q] += weight[q] * at[0], y[q] += weight[q] * at[1], z[q] += weight[q] * at[2]), ...);
+        }
+    }
+    ((to[q] = {{x[q], y[q], z[q]}}), ...);
+}
+
+template <class W, class T, std::size_t... q>
+[[gnu::always_inline]] inline void node_values(const Vec3<W>* from, const Rows& rows, const T* weight, W* field,
+                                               std::index_sequence<q...>) {
+    const W x[sizeof...(q)] = {from[q][0]...}, y[sizeof...(q)] = {from[q][1]...}, z[sizeof...(q)] = {from[q][2]...};
+    for (int r = 0; r < row_count_27; ++r) {
+        W* node = field + 3 * rows[r];
+#pragma GCC unroll 3
+        for (int k = 0; k < 3; ++k, node += 3, weight += lane_count) {
+            W sum[3] = {};
+            ((sum[0] += weight[q] * x[q], sum[1] += weight[q] * y[q], sum[2] += weight[q] * z[q]), ...);
+            node[0] += sum[0];
+            node[1] += sum[1];
+            node[2] += sum[2];
+        }
+    }
+}
+
 }  // namespace detail
 
 /// Gradients at the eight points of a field of all directions in W: to[c][j * 8 + q] = d u_c / d X_j at point q.
@@ -76,20 +108,15 @@ inline void scatter_directions(const W (&stress)[3][point_axes], W* field, const
     }
 }
 
+/// Points whose values stay in registers at a time.
+inline constexpr std::size_t points_at_once = sums_at_once / 3;
+
 /// Values at the eight points: to[q].
 template <class W, class T>
 inline void gather_direction_values(const W* field, const Rows& rows, const ValueTable<T>& table, Vec3<W> (&to)[lane_count]) {
     const T* weight = reinterpret_cast<const T*>(table.by_node);
-    for (int q = 0; q < lane_count; ++q) {
-        Vec3<W> sum;
-        for (int a = 0; a < 27; ++a) {
-            const W* node = field + 3 * node_of<T>(rows, a);
-            const T w = weight[a * lane_count + q];
-            for (int c = 0; c < 3; ++c) {
-                sum[c] += w * node[c];
-            }
-        }
-        to[q] = sum;
+    for (std::size_t first = 0; first < lane_count; first += points_at_once) {
+        detail::point_values<W, T>(field, rows, weight + first, to + first, std::make_index_sequence<points_at_once>{});
     }
 }
 
@@ -97,15 +124,8 @@ inline void gather_direction_values(const W* field, const Rows& rows, const Valu
 template <class W, class T>
 inline void scatter_direction_values(const Vec3<W> (&force)[lane_count], W* field, const Rows& rows, const ValueTable<T>& table) {
     const T* weight = reinterpret_cast<const T*>(table.by_node);
-    for (int a = 0; a < 27; ++a, weight += lane_count) {
-        W* node = field + 3 * node_of<T>(rows, a);
-        for (int c = 0; c < 3; ++c) {
-            W sum{};
-            for (int q = 0; q < lane_count; ++q) {
-                sum += weight[q] * force[q][c];
-            }
-            node[c] += sum;
-        }
+    for (std::size_t first = 0; first < lane_count; first += points_at_once) {
+        detail::node_values<W, T>(force + first, rows, weight + first, field, std::make_index_sequence<points_at_once>{});
     }
 }
 

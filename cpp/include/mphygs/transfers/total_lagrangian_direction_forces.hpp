@@ -14,8 +14,10 @@ inline void TotalLagrangianDirections<T, L>::chunk_forces(std::size_t index, dou
     W* out = chunk_force_[index].data() - 3 * begin;
     T* added = chunk_added_[index].data() - begin;
     for (std::size_t b = chunk.block_begin; b < chunk.block_end; ++b) {
-        if (!model_.sites_.volume && model_.settings_.law == Law::neo_hookean) {
-            elastic_forces(b, out, 3 * span);
+        if (linearised() && !model_.sites_.volume) {
+            linearised_forces<false>(b, time, dt, out, 3 * span);
+        } else if (linearised()) {
+            linearised_forces<true>(b, time, dt, out, 3 * span);
         } else {
             volume_forces(b, time, dt, out, 3 * span);
         }
@@ -31,44 +33,82 @@ inline void TotalLagrangianDirections<T, L>::chunk_forces(std::size_t index, dou
     }
 }
 
+/// The neo-Hookean law, and effects of the volume that say how they change.
 template <class T, int L>
-inline void TotalLagrangianDirections<T, L>::elastic_forces(std::size_t b, W* out, std::size_t span) {
+template <bool Effects>
+inline void TotalLagrangianDirections<T, L>::linearised_forces(std::size_t b, double time, double dt, W* out, std::size_t span) {
     using P = Pack<T>;
     const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
     const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
-    const bool prestressed = value_.prestressed_;
+    const bool prestressed = value_.prestressed_, rate = Effects && model_.sites_.rate;
+    const std::size_t count = static_cast<std::size_t>(model_.sites_.history), blocks = model_.rows_.size();
     const Mat3<P> moved = Mat3<P>::identity() + gather_gradient<T>(value_.u_.data(), stride_, rows, table);
     const Mat3<P> f0 = prestressed ? value_.f0_[b] : Mat3<P>::identity();
     const NeoHookean::Linearised<P> law(prestressed ? moved * f0 : moved, value_.mu_[b], value_.lambda_[b]);
-    const Mat3<P> stress = law.stress();
+    Mat3<P> stress = law.stress(), speed;
+    thread_local LinearisedEffects<P> added;
+    thread_local VolumePoint<P> now;  // large: cleared once, written over
+    VolumeChange<W> d;
+    if constexpr (Effects) {
+        if (rate) {
+            speed = gather_gradient<T>(value_.v_.data(), stride_, rows, table);
+            now.rate = prestressed ? speed * f0 : speed;
+        }
+        now.deformation = law.f;
+        now.stress = stress;
+        now.time = static_cast<T>(time);
+        now.dt = static_cast<T>(dt);
+        added.set(model_.slots_, value_.plain_uniforms_.data(), now, count ? &value_.history_[b * count] : nullptr);
+        stress = added.stress;
+    }
     const Mat3<P> pulled = prestressed ? stress * transpose(f0) : stress;
     alignas(64) Points points;
+    [[maybe_unused]] alignas(64) Points rates;
     for (std::size_t s = 0; s < slabs_; ++s) {
         gather_directions<W, T>(&u_[s * slab_], rows, table, points);
-        const std::size_t first = 8 * (s * model_.rows_.size() + b);
+        if (rate) {
+            gather_directions<W, T>(&v_[s * slab_], rows, table, rates);
+        }
+        const std::size_t first = 8 * (s * blocks + b);
         for (int q = 0; q < lane_count; ++q) {
             const std::size_t p = first + static_cast<std::size_t>(q);
             NeoHookean::Linearised<T> here;
-            here.f = at_point(law.f, q);
-            here.c = at_point(law.c, q);
+            here.f = in_lane(law.f, q);
+            here.c = in_lane(law.c, q);
             here.mu = law.mu[q];
             here.lambda = law.lambda[q];
             here.inverse_j = law.inverse_j[q];
             here.log_j = law.log_j[q];
             here.scale = law.scale[q];
-            const Mat3<T> start = at_point(f0, q);
+            const Mat3<T> start = in_lane(f0, q);
             Mat3<W> df = at_point(points, q);
             if (prestressed) {
                 df = product(df, start);
                 if (!f0_.empty()) {
-                    df = df + product(at_point(moved, q), f0_[p]);
+                    df = df + product(in_lane(moved, q), f0_[p]);
                 }
             }
             Mat3<W> change = here.change(df, of(mu_, p), of(lambda_, p));
+            if constexpr (Effects) {
+                if (rate) {
+                    d.rate = at_point(rates, q);
+                    if (prestressed) {
+                        d.rate = product(d.rate, start);
+                        if (!f0_.empty()) {
+                            d.rate = d.rate + product(in_lane(speed, q), f0_[p]);
+                        }
+                    }
+                }
+                d.deformation = df;
+                d.law = d.stress = change;
+                W* history = count ? &history_[p * count] : nullptr;
+                added.change(model_.slots_, q, d, &uniforms_[s * static_cast<std::size_t>(Registry::total_uniform_count)], history, history);
+                change = d.stress;
+            }
             if (prestressed) {
                 change = product(change, transpose(start));
                 if (!f0_.empty()) {
-                    change = change + product(at_point(stress, q), transpose(f0_[p]));
+                    change = change + product(in_lane(stress, q), transpose(f0_[p]));
                 }
             }
             const T size = -value_.volume_[b][q];
@@ -118,14 +158,14 @@ inline void TotalLagrangianDirections<T, L>::volume_forces(std::size_t b, double
         const D* uniforms = &uniforms_[s * static_cast<std::size_t>(Registry::total_uniform_count)];
         for (int q = 0; q < lane_count; ++q) {
             const std::size_t at = 8 * (s * blocks + b) + static_cast<std::size_t>(q);
-            const Mat3<T> start = at_point(f0, q);
+            const Mat3<T> start = in_lane(f0, q);
             Mat3<W> df = at_point(points, q), dr = rate ? at_point(rates, q) : Mat3<W>{};
             if (prestressed) {
                 df = product(df, start);
                 dr = rate ? product(dr, start) : dr;
                 if (!f0_.empty()) {
-                    df = df + product(at_point(moved, q), f0_[at]);
-                    dr = rate ? dr + product(at_point(speed, q), f0_[at]) : dr;
+                    df = df + product(in_lane(moved, q), f0_[at]);
+                    dr = rate ? dr + product(in_lane(speed, q), f0_[at]) : dr;
                 }
             }
             p.acceleration = {};
@@ -268,7 +308,9 @@ inline void TotalLagrangianDirections<T, L>::surface_forces(std::size_t b, doubl
     }
     Vec3<W> dx[lane_count], dv[lane_count], force[lane_count];
     for (std::size_t s = 0; s < slabs_; ++s) {
-        gather_direction_values<W, T>(&u_[s * slab_], rows, table, dx);
+        if (model_.sites_.surface_position) {
+            gather_direction_values<W, T>(&u_[s * slab_], rows, table, dx);
+        }
         gather_direction_values<W, T>(&v_[s * slab_], rows, table, dv);
         for (int q = 0; q < lane_count; ++q) {
             SurfacePoint<D> p;

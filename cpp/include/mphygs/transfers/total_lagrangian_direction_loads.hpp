@@ -70,8 +70,8 @@ inline void TotalLagrangianDirections<T, L>::hook_forces(double time, double dt)
                 const std::size_t at = 8 * (s * model_.rows_.size() + b) + static_cast<std::size_t>(q);
                 Mat3<W> df = at_point(gradient, q);
                 if (value_.prestressed_) {
-                    df = product(df, at_point(value_.f0_[b], q));
-                    df = f0_.empty() ? df : df + product(at_point(moved, q), f0_[at]);
+                    df = product(df, in_lane(value_.f0_[b], q));
+                    df = f0_.empty() ? df : df + product(in_lane(moved, q), f0_[at]);
                 }
                 for (std::size_t l = 0; l < width && s * width + l < directions_.size(); ++l) {
                     const std::size_t i = (1 + s * width + l) * points + 8 * static_cast<std::size_t>(model_.order_[b]) + static_cast<std::size_t>(q);

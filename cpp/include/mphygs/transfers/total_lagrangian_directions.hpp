@@ -118,24 +118,6 @@ class TotalLagrangianDirections {
         r.d[0] = slope;
         return r;
     }
-    /// Products of values and of directions in the lanes.
-    template <class A, class B>
-    static Mat3<W> product(const Mat3<A>& a, const Mat3<B>& b) {
-        Mat3<W> r;
-        for (int i = 0; i < 3; ++i) {
-            for (int j = 0; j < 3; ++j) {
-                r.e[i][j] = a.e[i][0] * b.e[0][j] + a.e[i][1] * b.e[1][j] + a.e[i][2] * b.e[2][j];
-            }
-        }
-        return r;
-    }
-    static Mat3<T> at_point(const Mat3<Pack<T>>& m, int q) {
-        Mat3<T> r;
-        for (int i = 0; i < 9; ++i) {
-            r.e[i / 3][i % 3] = m.e[i / 3][i % 3][q];
-        }
-        return r;
-    }
     static Mat3<W> at_point(const Points& p, int q) {
         Mat3<W> r;
         for (int i = 0; i < 9; ++i) {
@@ -147,6 +129,11 @@ class TotalLagrangianDirections {
         for (int i = 0; i < 9; ++i) {
             p[i / 3][i % 3 * lane_count + q] = m.e[i / 3][i % 3];
         }
+    }
+
+    template <class A, class B>
+    static Mat3<W> product(const Mat3<A>& a, const Mat3<B>& b) {
+        return mixed_product<W>(a, b);
     }
 
     Inputs<T, 0> values_alone(const Fields<T>& fields) {
@@ -186,7 +173,7 @@ class TotalLagrangianDirections {
         for (std::size_t s = 0; s < slabs_; ++s) {
             all_uniforms(model_.slots_, &parameters_[s * parameters], static_cast<T>(time), static_cast<T>(dt), &uniforms_[s * count]);
         }
-        if (model_.sites_.out_of_reach) {
+        if (model_.sites_.out_of_reach || model_.sites_.volume) {
             value_.refresh_uniforms(time, dt);
         }
         for (Direction& a : added_) {
@@ -195,7 +182,11 @@ class TotalLagrangianDirections {
     }
 
     void chunk_forces(std::size_t index, double time, double dt);
-    void elastic_forces(std::size_t b, W* out, std::size_t span);
+    bool linearised() const {
+        return model_.sites_.linearised && !model_.sites_.body_volume && model_.settings_.law == Law::neo_hookean;
+    }
+    template <bool Effects>
+    void linearised_forces(std::size_t b, double time, double dt, W* out, std::size_t span);
     void volume_forces(std::size_t b, double time, double dt, W* out, std::size_t span);
     void spring_forces(std::size_t b, W* out, std::size_t span) const;
     void surface_forces(std::size_t b, double time, W* out, std::size_t span, T* added);
