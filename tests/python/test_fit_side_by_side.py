@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -129,3 +130,25 @@ def test_the_cores_change_no_bit() -> None:
         assert np.abs(one[1]).max() > 0.0
         assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
     assert not np.array_equal(alone[0][0], alone[1][0])
+
+
+def test_the_last_one_has_the_others_cores() -> None:
+    ended, cores = threading.Event(), {}
+
+    def work(own: Experiment, item: int) -> None:
+        predictor = own.problem(SPACING).predictors["a"]
+        if item == 0:
+            cores["before"] = predictor.workers
+            ended.set()
+            return
+        ended.wait(20.0)
+        for _ in range(200):
+            if predictor.workers > 1:
+                break
+            time.sleep(0.05)
+        cores["after"] = predictor.workers
+
+    made = experiment(2)
+    side_by_side(made, work, [0, 1])
+    assert cores == {"before": 1, "after": 2}
+    assert made.problem(SPACING).predictors["a"].workers == 2

@@ -117,6 +117,12 @@ class Experiment:
         problems = {spacing: problem.twin(workers, halt) for spacing, problem in self.problems.items()}
         return replace(self, settings=settings, problems=problems)
 
+    def share(self, workers: int) -> None:
+        """Let the runs to come have so many cores; of grids that are built already."""
+        for problem in list(self.problems.values()):
+            for predictor in list(problem.predictors.values()):
+                predictor.workers = workers
+
     def adopt(self, twin: Experiment) -> None:
         """Keep what a twin had to build for grids that were new to it."""
         for spacing, problem in twin.problems.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from threading import Event
+from threading import Event, Lock
 from typing import TypeVar
 
 from mphygs.fit.experiment import Experiment
@@ -27,21 +27,28 @@ def side_by_side(
 ) -> list[Result]:
     """work(experiment, item) of every item, in order; the same to the bit whatever the cores.
 
-    Where there are cores for it each item has the simulators of a twin of the experiment. What work raises is
-    raised here, the first item's first.
+    Where there are cores for it each item has the simulators of a twin of the experiment; cores that have no
+    item left help those that have. What work raises is raised here, the first item's first.
     """
     if len(items) < 2 or experiment.settings.workers < 2:
         return [work(experiment, item) for item in items]
-    abreast = min(ABREAST, len(items), experiment.settings.workers)
-    cores = experiment.settings.workers // abreast
+    workers = experiment.settings.workers
+    abreast = min(ABREAST, len(items), workers)
     # Made here, one after the other: what they are made from is not shared between threads.
     halt = Event()
-    twins = [experiment.twin(cores, halt) for _ in range(abreast)]
+    twins = [experiment.twin(workers // abreast, halt) for _ in range(abreast)]
+    busy, lock = list(twins), Lock()
+
+    def stream(twin: Experiment, own: Sequence[Item]) -> list[Result]:
+        results = [work(twin, item) for item in own]
+        with lock:
+            busy.remove(twin)
+            for other in busy:
+                other.share(workers // len(busy))
+        return results
+
     with ThreadPoolExecutor(abreast) as pool:
-        streams = [
-            pool.submit(lambda twin, own: [work(twin, item) for item in own], twin, items[k::abreast])
-            for k, twin in enumerate(twins)
-        ]
+        streams = [pool.submit(stream, twin, items[k::abreast]) for k, twin in enumerate(twins)]
         try:
             done = [stream.result() for stream in streams]
         except BaseException:
