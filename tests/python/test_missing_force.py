@@ -285,27 +285,76 @@ def test_a_force_is_followed_as_long_as_a_step_takes_a_good_share(
     assert len(said) == steps
 
 
-@pytest.mark.parametrize(("falls", "steps"), [([0.5, 0.5, 0.5, 0.5], 4), ([0.5, 0.999], 2), ([0.5, 1.5], 2)])
-def test_a_formula_s_refit_ends_where_it_no_longer_falls(
-    falls: list[float], steps: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """falls: what each step leaves of the cost; one that leaves more is tried shorter, and then given up."""
-    asked: list[float] = []
-    runs = iter([*falls, *[1.5] * 8])
+class BentFormula:
+    """Two coefficients whose response bends: what a refit asks of the simulation; asked: slopes computed."""
 
-    def at(base: SimpleNamespace, *_: object) -> SimpleNamespace:
-        return SimpleNamespace(belief=base.belief, chi_square=base.left[-1] * (next(runs) if asked else 1.0))
+    truth = np.array([1.0, -0.5])
+    courses = np.stack([np.sin(np.linspace(0.0, 3.0, 40)), np.linspace(0.0, 1.0, 40)], axis=1)
+    noise = np.where(np.arange(40) % 2, 1.0, -1.0)
 
-    def normal(_problem: object, now: SimpleNamespace, _own: object) -> tuple[np.ndarray, np.ndarray]:
-        asked.append(now.chi_square)
-        base.left.append(now.chi_square)
-        return np.eye(1), np.ones(1)
+    def __init__(self, bend: float, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.bend, self.asked, self.runs = bend, 0, 0
+        belief = SimpleNamespace(coordinates=np.zeros(0), at=lambda _c: belief)
+        self.base = SimpleNamespace(belief=belief)
+        self.problem = SimpleNamespace(prior_rows=lambda _belief: (np.zeros(1), np.zeros((1, 0))))
+        monkeypatch.setattr(force_regression, "_at", lambda _base, _belief, _own, n: self.at(n))
+        monkeypatch.setattr(force_regression, "_slopes", lambda now, _own: self.slopes(now.numbers))
 
-    belief = SimpleNamespace(coordinates=np.zeros(0), at=lambda _c: belief)
-    base = SimpleNamespace(belief=belief, left=[100.0])
-    problem = SimpleNamespace(prior_rows=lambda _belief: (np.zeros(1), None))
-    monkeypatch.setattr(force_regression, "_at", at)
-    monkeypatch.setattr(force_regression, "_normal", normal)
-    found = force_regression._refitted(problem, base, {}, np.ones(1), np.zeros(0))
-    assert len(asked) == steps
-    assert found.chi_square == pytest.approx(100.0 * np.prod([f for f in falls if f < 1.0]))
+    def moves(self, numbers: np.ndarray) -> np.ndarray:
+        linear = self.courses @ numbers
+        return linear + self.bend * linear**2
+
+    def at(self, numbers: np.ndarray) -> SimpleNamespace:
+        self.runs += 1
+        residual = self.noise + 100.0 * (self.moves(self.truth) - self.moves(numbers))
+        return SimpleNamespace(
+            belief=self.base.belief, numbers=numbers, residual=residual, chi_square=float(residual @ residual)
+        )
+
+    def slopes(self, numbers: np.ndarray) -> np.ndarray:
+        self.asked += 1
+        return 100.0 * self.courses * (1.0 + 2.0 * self.bend * (self.courses @ numbers))[:, None]
+
+    def refitted(self, numbers: np.ndarray, first: np.ndarray) -> SimpleNamespace:
+        """first: slopes that are known about no force."""
+        linear = force_regression._Linear(
+            self.noise + 100.0 * self.moves(self.truth), first, np.zeros((40, 0)), np.zeros(40, int)
+        )
+        return force_regression._refitted(self.problem, self.base, {}, linear, numbers, np.zeros(0))
+
+
+def test_a_formula_s_refit_is_led_by_the_slopes_of_its_regression(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = BentFormula(0.2, monkeypatch)
+    known = case.slopes(np.zeros(2))
+    begun = np.linalg.lstsq(known, 100.0 * case.moves(case.truth), rcond=None)[0]
+    before, case.asked = case.at(begun).chi_square, 0
+    found = case.refitted(begun, known)
+    assert case.asked == 0
+    assert before > 400.0 > 42.0 > found.chi_square
+    np.testing.assert_allclose(found.numbers, case.truth, atol=0.02)
+
+
+def test_a_formula_s_refit_computes_slopes_anew_where_they_mislead(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = BentFormula(0.2, monkeypatch)
+    begun = np.array([0.5, 0.5])
+    before = case.at(begun).chi_square
+    found = case.refitted(begun, -case.courses)
+    assert 0 < case.asked <= force_regression.ANEW
+    assert found.chi_square < 1e-2 * before
+
+
+def test_a_formula_s_refit_ends_where_it_no_longer_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    case, best = BentFormula(0.0, monkeypatch), np.full(2, 3.0)
+
+    def worse(numbers: np.ndarray) -> SimpleNamespace:
+        case.runs += 1
+        residual = np.full(40, 1.0 + np.sum((numbers - best) ** 2))
+        return SimpleNamespace(
+            belief=case.base.belief, numbers=numbers, residual=residual, chi_square=float(residual @ residual)
+        )
+
+    monkeypatch.setattr(case, "at", worse)
+    found = case.refitted(best, 100.0 * case.courses)
+    np.testing.assert_array_equal(found.numbers, best)
+    # The shares of the shift, then at most four ever shorter steps of slopes of its own.
+    assert case.asked <= force_regression.ANEW and case.runs <= 3 + 1 + 4

@@ -9,7 +9,7 @@ the formula is sought again from there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from mphygs.diagnose.force_features import KINDS, Feature, PointMotion, library
 from mphygs.diagnose.force_formula import Formula, Regression, find_formula
 from mphygs.diagnose.missing_force import Found, MissingForce
 from mphygs.diagnose.missing_force_model import Channels
+from mphygs.fit.damped_step import secant
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -25,9 +26,9 @@ from mphygs.simulate.errors import SimulationError
 # Features whose tangents are computed exactly, the best by the natural modes; and so many the next times.
 FINALISTS, KEPT = 16, 8
 BLOCK_FRAMES = 5
-# Times that the formula is put in place of the force, steps of its refit, and the share of the cost that a
-# step has to bring for another one.
-ROUNDS, STEPS, WORTH = 2, 4, 1e-2
+# Times that the formula is put in place of the force; of its refit the steps, the times that their tangents
+# are computed anew, and the share of the cost that a step has to bring for another one.
+ROUNDS, STEPS, ANEW, WORTH = 2, 10, 2, 1e-2
 LARGEST_STEP = 0.7
 
 
@@ -39,9 +40,14 @@ class Base:
     found: Mapping[str, Found]
 
     @property
+    def residual(self) -> np.ndarray:
+        """(N,) whitened residual, measured - predicted, all sequences one after the other."""
+        return np.concatenate([f.residual for f in self.found.values()])
+
+    @property
     def chi_square(self) -> float:
         """Sum of squares of the whitened residuals of all sequences."""
-        return sum(float(f.residual @ f.residual) for f in self.found.values())
+        return float(self.residual @ self.residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +76,8 @@ def formula_of(
     own = {n: np.stack([f.forces(motion) for f in features]) for n, motion in motions.items()}
     base = Base(missing.belief, missing.found)
     for number in range(ROUNDS):
-        regression = _regression(base, own)
+        linear = _linearised(base, own)
+        regression = linear.regression()
         whole = np.ones(len(regression.rows))
         chosen = regression.chosen(whole)
         if not chosen:
@@ -78,7 +85,8 @@ def formula_of(
         coefficients, shift, share = regression.fit(chosen, whole)
         terms = [f"{c:.3g} {features[k].expression}" for k, c in zip(chosen, coefficients, strict=True)]
         say(f"formula, round {number + 1}: {', '.join(terms)} for {share:.1%} of the misfit")
-        moved = _refitted(problem, base, {n: o[list(chosen)] for n, o in own.items()}, coefficients, shift)
+        theirs = {n: o[list(chosen)] for n, o in own.items()}
+        moved = _refitted(problem, base, theirs, linear.of(chosen), coefficients, shift)
         if moved is None:
             break
         base = moved
@@ -89,11 +97,31 @@ def formula_of(
     expressions, units = [f.expression for f in features], [f.unit for f in features]
     # Of forces that are not told apart, the one that can be added to the model.
     simple = [KINDS[f.kind].code is not None for f in features]
-    formula = find_formula(_regression(base, own), expressions, units, simple, generator=generator)
+    regression = _linearised(base, own).regression()
+    formula = find_formula(regression, expressions, units, simple, generator=generator)
     return Explained(formula, tuple(features[t.index] for t in formula.terms))
 
 
-def _regression(base: Base, own: Mapping[str, np.ndarray]) -> Regression:
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Whitened, all sequences: data (N,), the residual without a force; features (N, K), parameters (N, P):
+    how the markers move by each; block (N,) of every row."""
+
+    data: np.ndarray
+    features: np.ndarray
+    parameters: np.ndarray
+    block: np.ndarray
+
+    def regression(self) -> Regression:
+        """The sums that a formula is sought in."""
+        return Regression.of(self.data, self.features, self.parameters, self.block)
+
+    def of(self, chosen: Sequence[int]) -> _Linear:
+        """With some of the features."""
+        return replace(self, features=self.features[:, list(chosen)])
+
+
+def _linearised(base: Base, own: Mapping[str, np.ndarray]) -> _Linear:
     keys = [p.key for p in base.belief.free]
     data, columns, parameters, blocks = [], [], [], []
     for number, (name, found) in enumerate(base.found.items()):
@@ -103,7 +131,7 @@ def _regression(base: Base, own: Mapping[str, np.ndarray]) -> Regression:
         columns.append(change[:, 1 : 1 + count])
         parameters.append(change[:, 1 + count :])
         blocks.append(1000 * number + seen.whitener.frame // BLOCK_FRAMES)
-    return Regression.of(*(np.concatenate(x) for x in (data, columns, parameters, blocks)))
+    return _Linear(*(np.concatenate(x) for x in (data, columns, parameters, blocks)))
 
 
 def _at(base: Base, belief: Belief, own: Mapping[str, np.ndarray], numbers: np.ndarray) -> Base:
@@ -117,10 +145,19 @@ def _at(base: Base, belief: Belief, own: Mapping[str, np.ndarray], numbers: np.n
 
 
 def _refitted(
-    problem: Problem, base: Base, own: Mapping[str, np.ndarray], numbers: np.ndarray, shift: np.ndarray
+    problem: Problem,
+    base: Base,
+    own: Mapping[str, np.ndarray],
+    linear: _Linear,
+    numbers: np.ndarray,
+    shift: np.ndarray,
 ) -> Base | None:
     """The base with terms in place of its force, coefficients and parameters refitted to the measurement by
-    Levenberg-Marquardt steps. None where it cannot be simulated."""
+    Levenberg-Marquardt steps. None where it cannot be simulated.
+
+    linear: about the base, of these terms. Its slopes lead on, corrected by what every step brought
+    (Broyden's secants); they are computed anew where a step does not lower the cost.
+    """
 
     def moved(belief: Belief, step: np.ndarray) -> Belief:
         return belief.at(belief.coordinates + np.clip(step, -LARGEST_STEP, LARGEST_STEP))
@@ -129,50 +166,61 @@ def _refitted(
         prior, _ = problem.prior_rows(one.belief)
         return one.chi_square + float(prior @ prior)
 
-    now = None
-    # The first order may promise too large a shift.
-    for share in (1.0, 0.5, 0.0):
+    def attempt(belief: Belief, trial_numbers: np.ndarray) -> Base | None:
         try:
-            trial = _at(base, moved(base.belief, share * shift), own, numbers)
+            return _at(base, belief, own, trial_numbers)
         except SimulationError:
-            continue
-        if now is None or cost(trial) < cost(now):
-            now = trial
+            return None
+
+    # The first order may promise too large a shift.
+    trials = [attempt(moved(base.belief, share * shift), numbers) for share in (1.0, 0.5, 0.0)]
+    now = min((t for t in trials if t is not None), key=cost, default=None)
     if now is None:
         return None
-    damping, count = 1e-2, len(numbers)
+    count, damping, anew, failed = len(numbers), 1e-2, 0, 0
+    came = np.r_[numbers, now.belief.coordinates - base.belief.coordinates]
+    slopes = _secant(np.hstack([linear.features, linear.parameters]), linear.data, now.residual, came)
+    fresh = False
     for _ in range(STEPS):
-        matrix, right = _normal(problem, now, own)
-        for _attempt in range(4):
-            damped = matrix + damping * np.diag(np.diag(matrix))
-            step = np.linalg.lstsq(damped, right, rcond=1e-12)[0]
-            try:
-                trial = _at(base, moved(now.belief, step[count:]), own, numbers + step[:count])
-            except SimulationError:
-                damping *= 10.0
-                continue
-            if cost(trial) < cost(now):
+        matrix, right = _normal(problem, now, slopes)
+        step = np.linalg.lstsq(matrix + damping * np.diag(np.diag(matrix)), right, rcond=1e-12)[0]
+        trial = attempt(moved(now.belief, step[count:]), numbers + step[:count])
+        if trial is None or cost(trial) >= cost(now):
+            if fresh:
+                damping, failed = 10.0 * damping, failed + 1
+            elif anew < ANEW:
+                slopes, fresh, anew = _slopes(now, own), True, anew + 1
+            if not fresh or failed == 4:
                 break
-            damping *= 10.0
-        else:
-            return now
+            continue
         fell = cost(now) - cost(trial)
-        now, numbers, damping = trial, numbers + step[:count], 0.1 * damping
+        came = np.r_[step[:count], trial.belief.coordinates - now.belief.coordinates]
+        slopes = _secant(slopes, now.residual, trial.residual, came)
+        now, numbers, damping, fresh, failed = trial, numbers + step[:count], 0.1 * damping, False, 0
         if fell < WORTH * cost(now):
             break
     return now
 
 
-def _normal(problem: Problem, now: Base, own: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of coefficients and parameters, priors among them."""
+def _secant(slopes: np.ndarray, before: np.ndarray, after: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Slopes of the prediction, put right by how residuals (measured - predicted) changed over a step."""
+    return -secant(-slopes, before, after, step, (slopes**2).sum(0))
+
+
+def _slopes(now: Base, own: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(N, K + P) whitened change of the markers by coefficients and parameters, all sequences."""
     keys = [p.key for p in now.belief.free]
+    return np.concatenate(
+        [f.seen.whitened(f.seen.forced.tangents(f.motion, list(own[n]), keys)) for n, f in now.found.items()]
+    )
+
+
+def _normal(problem: Problem, now: Base, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of coefficients and parameters, priors among them."""
     prior, slope = problem.prior_rows(now.belief)
-    count = len(next(iter(own.values())))
-    columns, residuals = [np.hstack([np.zeros((len(prior), count)), -slope])], [prior]
-    for name, found in now.found.items():
-        columns.append(found.seen.whitened(found.seen.forced.tangents(found.motion, list(own[name]), keys)))
-        residuals.append(found.residual)
-    matrix, right = np.concatenate(columns), np.concatenate(residuals)
+    count = slopes.shape[1] - slope.shape[1]
+    matrix = np.concatenate([np.hstack([np.zeros((len(prior), count)), -slope]), slopes])
+    right = np.concatenate([prior, now.residual])
     return matrix.T @ matrix, matrix.T @ right
 
 
