@@ -230,7 +230,7 @@ def test_a_step_on_pictures_lowers_their_loss(
     if schedule == "fast":
         evaluation = experiment.problem(run.settings.spacing).evaluate(soft)
         # the tracks are not to lead back
-        flat = replace(evaluation, jacobian=1e-9 * evaluation.jacobian)
+        flat = replace(evaluation, slopes=1e-9 * evaluation.jacobian)
         solution = Solution(soft, flat, (flat.cost,), True, "")
         found = image_fit.fit_to_pictures(pictured, solution, weights=VideoWeights())
     else:

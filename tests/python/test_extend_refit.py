@@ -194,7 +194,7 @@ def test_a_refit_goes_on_where_the_next_iteration_promises_much(
     assert (refit._further(None, last, 1e-3) is not None) is asked
     assert seen == [1] * asked
     # Without a Jacobian nothing is promised.
-    blind = replace(before.evaluation, jacobian=np.zeros_like(before.evaluation.jacobian))
+    blind = replace(before.evaluation, slopes=np.zeros_like(before.evaluation.jacobian))
     assert refit._further(None, replace(last, evaluation=blind), 1e-3) is None
 
 

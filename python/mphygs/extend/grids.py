@@ -218,10 +218,15 @@ def finely(experiment: Experiment, step: Step, report: Callable[[str], None] | N
     return after if better else step
 
 
-def complete(experiment: Experiment, step: Step) -> Step:
+def complete(experiment: Experiment, step: Step, *, screening: bool = False) -> Step:
     """The step with the tangents of its prediction, which the floor test takes and rivals go without; without
-    where the misfit is gross (see `with_tangents`)."""
-    if step.assessment.worst >= LARGEST_GRID_ERROR:
+    where the misfit is gross (see `with_tangents`).
+
+    screening: whether a grid that is coarser than the deciding one was only for trying many models: what no
+    test would excuse goes without there, for its share of the error is not asked either.
+    """
+    coarse = screening and step.spacing > 1.1 * deciding_spacing(experiment.capture)
+    if step.assessment.worst >= (LARGEST_EXCUSED if coarse else LARGEST_GRID_ERROR):
         return step
     if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
         return step
@@ -281,7 +286,7 @@ def refined(
         # No tangents will excuse it: another grid may be asked without them.
         spacing = next_spacing(experiment, steps)
     if spacing is None:
-        current = complete(experiment, current)
+        current = complete(experiment, current, screening=screening)
         spacing = next_spacing(experiment, steps) if screening and not current.explained else None
     deciding = deciding_spacing(experiment.capture)
     if screening and tied and current.explained and current.spacing > 1.1 * deciding:
@@ -293,7 +298,7 @@ def refined(
         hopeless = moved is not None and _far_beyond(
             current.assessment.worst, moved.assessment.worst, current.spacing / moved.spacing
         )
-        current = moved or complete(experiment, current)
+        current = moved or complete(experiment, current, screening=screening)
     fine = not screening or current.spacing < 1.1 * deciding_spacing(experiment.capture)
     if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
         return current

@@ -46,4 +46,4 @@ def _evaluated(problem: Problem, before: Solution, start: Belief) -> Evaluation 
     jacobian[: len(slope), old] = slope[:, [known[free[k].key][0] for k in old]]
     if not np.isfinite(jacobian).all():
         raise SimulationError("the derivatives at the start are not finite")
-    return replace(evaluation, jacobian=jacobian)
+    return replace(evaluation, slopes=jacobian)

@@ -200,8 +200,13 @@ def _further(problem: Problem, solution: Solution, accuracy: float) -> Solution 
     costs = solution.history[-2:]
     if solution.converged or len(costs) < 2:
         return None
-    if costs[1] > FALLING * costs[0] and costs[1] - _promised(solution) > FALLING * costs[1]:
-        return None
+    if costs[1] > FALLING * costs[0]:
+        # Where noise alone would leave more than that share of it, no Jacobian is needed to tell.
+        evaluation = solution.evaluation
+        if FALLING * evaluation.chi_square < evaluation.data_rows:
+            return None
+        if costs[1] - _promised(solution) > FALLING * costs[1]:
+            return None
     try:
         further = minimise(problem, solution.belief, iterations=1, relative_tolerance=accuracy)
     except SimulationError:

@@ -42,9 +42,8 @@ def placed(
         found = approached(problem, lender, first, iterations=ALONE, report=report)
     else:
         found = minimise(
-            problem, first, iterations=ALONE, relative_tolerance=1e-3, least=BRINGS, to_end=False,
-            report=report,
-        ).belief  # fmt: skip
+            problem, first, iterations=ALONE, relative_tolerance=1e-3, least=BRINGS, report=report
+        ).belief
     for p in first.free:
         belief = belief.with_parameter(p.key, value=found[p.key].value)
     return belief

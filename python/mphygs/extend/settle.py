@@ -135,7 +135,8 @@ def settled(
         simple = at_floor(rest[0], [*wider, *rest[1:]])
         if simple.explained:
             ties = (*simple.ties, *(step.added[0] for step in wider))
-            return replace(among(experiment, replace(simple, ties=ties), rest[1:], report), refits=tried)
+            first = replace(simple, ties=ties)
+            return replace(among(experiment, first, rest[1:], report, screening=screening), refits=tried)
         if best is not rest[0]:
             # The wider one led, and its numbers are needed.
             best, rivals = at_floor(best, rivals), [simple if r is rest[0] else r for r in rivals]
@@ -145,7 +146,7 @@ def settled(
         best = at_floor(best, rivals)
     if not best.explained:
         best = replace(best, ties=())
-    return replace(among(experiment, best, rivals, report), refits=tried)
+    return replace(among(experiment, best, rivals, report, screening=screening), refits=tried)
 
 
 def _wider_first(steps: Sequence[Step]) -> tuple[list[Step], list[Step]]:
@@ -162,9 +163,17 @@ def _wider_first(steps: Sequence[Step]) -> tuple[list[Step], list[Step]]:
 
 
 def among(
-    experiment: Experiment, best: Step, rivals: Sequence[Step], report: Callable[[str], None] | None
+    experiment: Experiment,
+    best: Step,
+    rivals: Sequence[Step],
+    report: Callable[[str], None] | None,
+    *,
+    screening: bool = False,
 ) -> Step:
-    """The better of a step and its rivals on the step's grid, with those that do alike as its ties."""
+    """The better of a step and its rivals on the step's grid, with those that do alike as its ties.
+
+    screening: see `complete`.
+    """
     alike = [rival for rival in rivals if rival.spacing == best.spacing]
     others = [rival for rival in rivals if rival.spacing != best.spacing] if best.explained else []
     moved = side_by_side(experiment, lambda own, rival: _beside(own, rival, best, report), others)
@@ -177,4 +186,4 @@ def among(
     tied.sort(key=_order)
     named = dict.fromkeys((*(r.added[0] for r in tied[1:]), *(name for r in tied for name in r.ties)))
     chosen = replace(tied[0], ties=tuple(name for name in named if name not in tied[0].added))
-    return complete(experiment, chosen)
+    return complete(experiment, chosen, screening=screening)

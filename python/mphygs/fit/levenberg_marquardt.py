@@ -45,8 +45,7 @@ TOO_LITTLE = "an iteration brought too little"
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """belief: at the minimum; evaluation: there, with Jacobian where it is not hopeless; history: cost after
-    every iteration."""
+    """belief: at the minimum; evaluation: there; history: cost after every iteration."""
 
     belief: Belief
     evaluation: Evaluation
@@ -137,12 +136,14 @@ class _Borrowing:
             self._known = [*self._known[-2:], (belief, found)]
             if self.lowest is None or found.cost < self.lowest[0]:
                 self.lowest = found.cost, belief
-        if not jacobian:
-            return found
-        lent = self._lender.evaluate(belief).jacobian
-        if len(lent) != len(found.residual):
-            raise ValueError("the lender has other rows; expected the same frames and markers")
-        return replace(found, jacobian=lent)
+
+        def lent() -> np.ndarray:
+            slopes = self._lender.evaluate(belief).jacobian
+            if len(slopes) != len(found.residual):
+                raise ValueError("the lender has other rows; expected the same frames and markers")
+            return slopes
+
+        return replace(found, slopes=lent() if jacobian else lent)
 
     def minimise(self, belief: Belief, **options: object) -> Solution:
         return minimise(self, belief, trials=BORROWED_TRIALS, **options)
@@ -172,7 +173,6 @@ def approached(
             tolerance=tolerance,
             relative_tolerance=relative_tolerance,
             least=LEADS,
-            to_end=False,
             report=report,
         )
     except SimulationError:
@@ -233,7 +233,6 @@ def minimise(
     dwell: tuple[int, float] | None = None,
     hopeless: float = np.inf,
     least: float = 0.0,
-    to_end: bool = True,
     known: Evaluation | None = None,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
@@ -245,9 +244,8 @@ def minimise(
     lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
     gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; dwell: iterations,
     and the misfit [sigma] above which it ends after these; hopeless: chi^2 above which it ends after the
-    first iteration, without the Jacobian there; least: share of the cost that an iteration has to bring, else
-    it is the last one, without the Jacobian unless to_end; known: the evaluation of the starting belief, with
-    its Jacobian, where it is at hand.
+    first iteration; least: share of the cost that an iteration has to bring, else it is the last one; known:
+    the evaluation of the starting belief, where it is at hand.
     Raises SimulationError when even the starting belief cannot be simulated.
     """
     if lender is not None:
@@ -313,10 +311,8 @@ def minimise(
             history.append(reached.cost)
             return Solution(belief, reached, tuple(history), False, "hopeless after an iteration")
         little = current.cost - reached.cost < least * current.cost
-        if little and not to_end:
-            history.append(reached.cost)
-            return Solution(belief, reached, tuple(history), False, TOO_LITTLE)
-        before, current = current, problem.evaluate(belief)
+        # Its Jacobian is computed once something asks for it: another iteration, or who goes on from here.
+        before, current = current, reached
         history.append(current.cost)
         if report:
             report(iteration, current, belief)

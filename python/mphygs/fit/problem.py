@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from threading import Event
 
 import numpy as np
@@ -23,16 +24,22 @@ MASS_TOLERANCE = 2e-3
 class Evaluation:
     """Whitened residual (N,), Jacobian (N, P) by the free coordinates, and where the rows come from.
 
-    data_rows: rows of measurements, the first; prior_rows: rows of priors, right behind them.
+    slopes: the Jacobian, or what computes it once it is asked for; data_rows: rows of measurements, the
+    first; prior_rows: rows of priors, right behind them.
     """
 
     residual: np.ndarray
-    jacobian: np.ndarray
+    slopes: np.ndarray | Callable[[], np.ndarray]
     data_rows: int
     prior_rows: int
     rows: dict[str, slice]
     positions: dict[str, np.ndarray]
     substeps: int
+
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """(N, P). Raises SimulationError where it is computed only now and the run is unstable."""
+        return self.slopes() if callable(self.slopes) else self.slopes
 
     @property
     def cost(self) -> float:
@@ -108,19 +115,21 @@ class Problem:
     def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
         """Residuals (measured - predicted, whitened) and their Jacobian.
 
-        Raises SimulationError where a run is unstable or the rest shape cannot be solved for.
+        jacobian: whether it is computed now, with the motion, and not once it is asked for. Raises
+        SimulationError where a run is unstable or the rest shape cannot be solved for.
         """
         keys = tuple(p.key for p in belief.free) if jacobian else ()
         predictions = {
             name: self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep)
             for name, (_, last) in self.ranges.items()
         }
-        return self.evaluated(
+        evaluation = self.evaluated(
             belief,
             {name: prediction.position for name, prediction in predictions.items()},
             {name: prediction.jacobian for name, prediction in predictions.items()} if jacobian else None,
             substeps=sum(prediction.substeps for prediction in predictions.values()),
         )
+        return evaluation if jacobian else replace(evaluation, slopes=lambda: self.evaluate(belief).jacobian)
 
     def evaluated(
         self,
