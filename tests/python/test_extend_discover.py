@@ -23,7 +23,7 @@ from extend_example import (
 )
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.ranking import Entry, Ranking
-from mphygs.extend import discover, refits, settle, window
+from mphygs.extend import discover, grids, refits, settle, window
 from mphygs.extend.met_again import onward
 from mphygs.extend.refit import Refit
 from mphygs.extend.refits import promising, refits_of
@@ -38,7 +38,14 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
 # An experiment on one core, of which nothing else is asked.
-ALONE = SimpleNamespace(settings=SimpleNamespace(workers=1))
+ALONE = SimpleNamespace(settings=SimpleNamespace(workers=1), capture=None)
+
+
+@pytest.fixture(autouse=True)
+def grid_of_no_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is no capture, all is decided on the grid that there is."""
+    deciding = grids.deciding_spacing
+    monkeypatch.setattr(grids, "deciding_spacing", lambda c: SPACING if c is None else deciding(c))
 
 KEY = "part0.youngs_modulus"
 

@@ -321,12 +321,33 @@ def test_no_tangents_are_asked_of_what_they_cannot_excuse_on_a_grid_that_is_left
 ) -> None:
     asked: list[float] = []
     done = step_of(assessment_of(1.0, adequate=True), added=("wind",), spacing=deciding())
-    monkeypatch.setattr(grids, "complete", lambda _e, step: asked.append(step.spacing) or step)
+    monkeypatch.setattr(grids, "complete", lambda _e, step, **_: asked.append(step.spacing) or step)
     monkeypatch.setattr(grids, "on_grid", lambda *_: done)
     first = step_of(assessment_of(20.0), spacing=trying())
     step = step_of(assessment_of(worst), added=("wind",), spacing=trying())
     assert grids.refined(scene()[0], [first, step], None, screening=True) is done
     assert asked == ([trying()] if tangents else [])
+
+
+@pytest.mark.parametrize(
+    ("worst", "spacing", "screening", "asked"),
+    [
+        (1.6, "coarse", True, True),
+        (1.7, "coarse", True, False),
+        (1.7, "coarse", False, True),  # the grid that was asked for decides
+        (1.7, "deciding", True, True),
+        (5.1, "deciding", True, False),
+    ],
+)
+def test_a_grid_for_trying_asks_no_tangents_of_what_no_test_excuses(
+    worst: float, spacing: str, screening: bool, asked: bool
+) -> None:
+    experiment, truth = scene()
+    grid = trying() if spacing == "coarse" else deciding()
+    compared = experiment.compare(truth, grid, jacobian=False)
+    step = replace(step_of(assessment_of(worst), spacing=grid), belief=truth, compared=compared)
+    done = grids.complete(experiment, step, screening=screening)
+    assert [item.jacobian.shape[-1] for item in done.compared.values()] == [len(FREE) if asked else 0]
 
 
 def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:

@@ -195,8 +195,7 @@ def _descend(
             f"{np.sqrt(state.chi_square / rows):.3f} sigma (promised {np.sqrt(max(promised, 0) / rows):.3f})"
         )
         left = state.chi_square
-        # On the way it is enough to be there.
-        if (left if share < 1.0 else max(now, left)) < NEAR * rows:
+        if max(now, left) < NEAR * rows:
             break
         if left < CLOSE * rows and left - rows > (1.0 - TAKES) * (now - rows):
             break

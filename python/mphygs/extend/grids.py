@@ -225,9 +225,12 @@ def complete(experiment: Experiment, step: Step, *, screening: bool = False) -> 
     screening: whether a grid that is coarser than the deciding one was only for trying many models: what no
     test would excuse goes without there, for its share of the error is not asked either.
     """
-    coarse = screening and step.spacing > 1.1 * deciding_spacing(experiment.capture)
-    if step.assessment.worst >= (LARGEST_EXCUSED if coarse else LARGEST_GRID_ERROR):
+    worst = step.assessment.worst
+    if worst >= LARGEST_GRID_ERROR:
         return step
+    if screening and worst > LARGEST_EXCUSED and not known_budget(step):
+        if step.spacing > 1.1 * deciding_spacing(experiment.capture):
+            return step
     if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
         return step
     if step.lender is None:
