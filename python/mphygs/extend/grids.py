@@ -135,7 +135,9 @@ def on_grid(
             return None
         beyond = misfit > GROSS or _out_of_reach(experiment, step, solution, spacing)
         if not solution.converged and not beyond:
-            left, accuracy = ITERATIONS - FIRST, 1e-3 if misfit < NEAR_FLOOR else ROUGHLY
+            # Where and how hard something is met, to the last digits, is the grid's.
+            rough = misfit >= NEAR_FLOOR or sets_in(step)
+            left, accuracy = ITERATIONS - FIRST, ROUGHLY if rough else 1e-3
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=accuracy, least=accuracy,
                 report=tell,

@@ -17,7 +17,7 @@ from mphygs.extend.known_slopes import approached_from
 from mphygs.extend.setting_in import placed
 from mphygs.fit.anew import fitted_anew
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, approached, minimise, promise, told
+from mphygs.fit.levenberg_marquardt import TOO_LITTLE, Solution, approached, minimise, promise, told
 from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief, Parameter
@@ -43,6 +43,9 @@ AT_FLOOR, NEAR_FLOOR = 1.03, 1.25
 # A refit ends where an iteration brings less than so many times what the last one may promise; more times
 # where it leaves more than so much [sigma]: at that pace it does not get near the floor any more.
 BRINGS, FAR, BRINGS_FAR = 5.0, 2.0, 50.0
+# That of what sets in (a wall, yielding), which is found once more on the deciding grid, from the frames
+# before.
+BRINGS_SETTING_IN = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,19 +295,22 @@ def finish_refit(
         # Begun on all frames, it is there with its Jacobian.
         same = belief is begun.belief and begun.evaluation.data_rows == before.evaluation.data_rows
         known = begun.evaluation if same else None
+        late = entry.kind == "threshold"
         solution = minimise(
-            problem, belief, iterations=3, relative_tolerance=accuracy, known=known, report=tell
-        )
+            problem, belief, iterations=3, relative_tolerance=accuracy, known=known,
+            least=BRINGS_SETTING_IN * accuracy if late else 0.0, report=tell,
+        )  # fmt: skip
         if solution.evaluation.chi_square > hopeless:
             return None
-        if not solution.converged:
-            brings = BRINGS_FAR if solution.evaluation.misfit > FAR else BRINGS
+        if not solution.converged and solution.reason != TOO_LITTLE:
+            near = BRINGS_SETTING_IN if late else BRINGS
+            brings = BRINGS_FAR if solution.evaluation.misfit > FAR else near
             solution = minimise(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy,
                 least=brings * accuracy, report=tell,
             )  # fmt: skip
-        near = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
-        if anew and near and entry.kind != "threshold":
+        close = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
+        if anew and close and not late:
             if not may_have_all(experiment, spacing, solution.belief, solution.evaluation):
                 solution = fitted_anew(experiment, solution, spacing, report)
         # Materials first: a place that makes up for theirs is hard to leave.
