@@ -250,6 +250,11 @@ def test_a_fit_on_a_finer_grid_goes_on_where_it_may_come_near_the_floor(
             done.clear()
             grids.on_grid(experiment, replace(step, added=added), FINE)
             assert len(done) == 2 and done[0] == "first"
+    # Of what sets in the last digits are the grid's.
+    if asked == ["first", "rest"]:
+        done.clear()
+        grids.on_grid(experiment, replace(step, added=("contact",)), FINE)
+        assert done == ["first", "roughly"]
 
 
 @pytest.mark.parametrize(

@@ -425,6 +425,31 @@ def test_a_refit_that_hardly_falls_is_not_brought_further(
     assert asked[:2] == [(3, 0.0), (5, pytest.approx(brings * 2e-3))]
 
 
+@pytest.mark.parametrize("little", [True, False])
+def test_what_sets_in_is_left_to_the_deciding_grid_sooner(
+    little: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """little: whether the last of the first iterations brought too little for another one."""
+    experiment, before, entry, _ = scene()
+    compared = experiment.compare(before.belief, SPACING, jacobian=False)
+    reason = levenberg_marquardt.TOO_LITTLE if little else "iterations used up"
+    asked: list[float] = []
+
+    def counted(*_: object, least: float = 0.0, **__: object) -> Solution:
+        asked.append(least)
+        return replace(before, converged=False, reason=reason)
+
+    monkeypatch.setattr(refit, "minimise", counted)
+    monkeypatch.setattr(refit, "relocated", lambda _p, found, **_: found)
+    finish_refit(
+        experiment, before, compared, replace(entry, kind="threshold"), before, SPACING,
+        generator=np.random.default_rng(0), accuracy=2e-3,
+    )  # fmt: skip
+    assert asked[0] == pytest.approx(refit.BRINGS_SETTING_IN * 2e-3)
+    assert refit.BRINGS_SETTING_IN > refit.BRINGS
+    assert len(asked) == (1 if little else 2)
+
+
 # ---- the gain on unseen frames ----------------------------------------------------------------
 def offset(compared: dict[str, Compared], seen: float, unseen: float) -> dict[str, Compared]:
     """The comparison with predictions off by these [m] in fitted frames and in the others."""
