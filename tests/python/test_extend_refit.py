@@ -156,7 +156,7 @@ def test_a_refit_begins_at_the_strength_that_fits_best(
 def test_a_refit_that_still_falls_goes_on(
     costs: list[float], asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refit, "_promised", lambda _solution: 0.0)
+    monkeypatch.setattr(refit, "promise", lambda *_: 0.0)
     _, before, usual, _ = scene()
     evaluation, left, seen = before.evaluation, costs[1:], []
 
@@ -193,9 +193,33 @@ def test_a_refit_goes_on_where_the_next_iteration_promises_much(
     last = Solution(usual.start, before.evaluation, (100.0, 95.0), False, "iterations used up")
     assert (refit._further(None, last, 1e-3) is not None) is asked
     assert seen == [1] * asked
-    # Without a Jacobian nothing is promised.
-    blind = replace(before.evaluation, slopes=np.zeros_like(before.evaluation.jacobian))
-    assert refit._further(None, replace(last, evaluation=blind), 1e-3) is None
+
+
+def test_a_refit_whose_jacobian_cannot_be_computed_goes_no_further() -> None:
+    _, before, usual, _ = scene()
+
+    def unstable() -> np.ndarray:
+        raise SimulationError("unstable")
+
+    blind = replace(before.evaluation, slopes=unstable)
+    last = Solution(usual.start, blind, (100.0, 95.0), False, "iterations used up")
+    assert refit._further(None, last, 1e-3) is None
+
+
+def test_no_jacobian_is_asked_what_noise_rules_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refit, "promise", lambda _belief, evaluation: 0.0 * evaluation.jacobian[0, 0])
+    _, before, usual, _ = scene()
+    asked: list[bool] = []
+
+    def at(misfit: float) -> Solution:
+        residual = np.full_like(before.evaluation.residual, misfit)
+        slopes = before.evaluation.jacobian
+        found = replace(before.evaluation, residual=residual, slopes=lambda: asked.append(True) or slopes)
+        return Solution(usual.start, found, (1.05 * found.cost, found.cost), False, "iterations used up")
+
+    # 0.7 of 1.1 squared is less than one.
+    assert refit._further(None, at(1.1), 1e-3) is None and not asked
+    assert refit._further(None, at(1.3), 1e-3) is None and asked
 
 
 @pytest.mark.parametrize(

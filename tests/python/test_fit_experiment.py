@@ -176,6 +176,12 @@ def test_a_prediction_with_its_jacobian_is_kept_for_the_next_fit(monkeypatch: py
     observation = shared.observations["plain"]
     shared.observations["plain"] = replace(observation, position=observation.position + 1e-3)
     assert problem.evaluate(belief).cost > known.cost + 1.0
+    # A Jacobian that is asked for late is of what was observed when the residual was.
+    late = problem.evaluate(belief, jacobian=False)
+    missing = observation.position.copy()
+    missing[3, 0] = np.nan
+    shared.observations["plain"] = replace(observation, position=missing)
+    assert len(late.jacobian) == len(late.residual) > len(problem.evaluate(belief).residual)
     assert len(runs) == 2
     # Another belief, the first frames: computed.
     stiffer = belief.with_parameter(FREE[0], value=7e4)

@@ -203,24 +203,17 @@ def _further(problem: Problem, solution: Solution, accuracy: float) -> Solution 
     costs = solution.history[-2:]
     if solution.converged or len(costs) < 2:
         return None
-    if costs[1] > FALLING * costs[0]:
-        # Where noise alone would leave more than that share of it, no Jacobian is needed to tell.
-        evaluation = solution.evaluation
-        if FALLING * evaluation.chi_square < evaluation.data_rows:
-            return None
-        if costs[1] - _promised(solution) > FALLING * costs[1]:
-            return None
+    evaluation, little = solution.evaluation, costs[1] > FALLING * costs[0]
+    # Where noise alone would leave more than that share of it, no Jacobian is needed to tell.
+    if little and FALLING * evaluation.chi_square < evaluation.data_rows:
+        return None
     try:
+        if little and costs[1] - promise(solution.belief, evaluation) > FALLING * costs[1]:
+            return None
         further = minimise(problem, solution.belief, iterations=1, relative_tolerance=accuracy)
     except SimulationError:
         return None
     return further if len(further.history) > 1 else None
-
-
-def _promised(solution: Solution) -> float:
-    """The fall of the cost that another iteration promises; none where there is no Jacobian to tell."""
-    jacobian = solution.evaluation.jacobian
-    return promise(solution.belief, solution.evaluation) if np.any(jacobian) else 0.0
 
 
 def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) -> Belief | None:

@@ -129,7 +129,11 @@ class Problem:
             {name: prediction.jacobian for name, prediction in predictions.items()} if jacobian else None,
             substeps=sum(prediction.substeps for prediction in predictions.values()),
         )
-        return evaluation if jacobian else replace(evaluation, slopes=lambda: self.evaluate(belief).jacobian)
+        if jacobian:
+            return evaluation
+        # Of what is observed now: measurements may be left out before the Jacobian is asked for.
+        now = replace(self, observations=dict(self.observations))
+        return replace(evaluation, slopes=lambda: now.evaluate(belief).jacobian)
 
     def evaluated(
         self,

@@ -55,5 +55,6 @@ def side_by_side(
             halt.set()  # an interrupt, too, does not wait for more than the runs under way
             raise
     for twin in twins:
+        twin.share(workers)  # a Jacobian may be asked of it yet
         experiment.adopt(twin)
     return [done[i % abreast][i // abreast] for i in range(len(items))]
