@@ -14,12 +14,13 @@ from extend_example import SPACING, entry_of, recorded
 from mphygs.capture.holds import Load
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import rank as ranking
-from mphygs.diagnose import shaking, tried
+from mphygs.diagnose import tried
 from mphygs.diagnose.candidates import SINCE_THE_START
 from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.document import ranking_document
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Entry, Ranking
+from mphygs.diagnose.shaking import shaking_ways
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
@@ -146,12 +147,16 @@ def test_what_is_tried_is_read_off_the_sequence_that_is_off_most(monkeypatch: py
 
     monkeypatch.setattr(tried, "walls", found)
     monkeypatch.setattr(tried, "plasticity_trials", yields)
-    monkeypatch.setattr(shaking, "peaks", lambda residual, *_: seen.update(peaks=residual) or [2.0])
+    monkeypatch.setattr(
+        ranking,
+        "shaking_ways",
+        lambda of, residual, *more: seen.update(swings=residual) or shaking_ways(of, residual, *more),
+    )
     ranked("contact", "plasticity", "base_motion")
     assert seen["walls"] == ("b", experiment.observations["b"]) and seen["yields"] == "b"
     first, last = experiment.fitted["b"]
     off = experiment.observations["b"].position[first:last] - fitted.evaluation.positions["b"][first:last]
-    np.testing.assert_array_equal(seen["peaks"], off)
+    np.testing.assert_array_equal(seen["swings"], off)
 
 
 def test_a_softer_object_may_meet_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from mphygs.diagnose.missing_force import Found
+from mphygs.diagnose.swings import swing_frequencies
 from mphygs.simulate.fields import primal
 
 AXES = "xyz"
@@ -264,7 +265,8 @@ def library(motion: PointMotion, course: np.ndarray) -> list[Feature]:
                 features.append(Feature(kind, part))
         features += [Feature("strain_memory", part, (tau,)) for tau in MEMORY]
     features += [Feature("uniform", None, (axis,)) for axis in range(3)]
-    for frequency in peaks(course, float(np.median(np.diff(motion.time)))):
+    fps = 1.0 / float(np.median(np.diff(motion.time)))
+    for frequency in swing_frequencies(course, fps, FREQUENCIES):
         for axis in range(3):
             features += [Feature("harmonic", None, (axis, frequency, late)) for late in (0, 1)]
     low, high = motion.rest.min(0), motion.rest.max(0)
@@ -274,18 +276,3 @@ def library(motion: PointMotion, course: np.ndarray) -> list[Feature]:
             place = 0.5 * (low + high) + direction * (0.5 * (high - low) + 0.35 * size)
             features.append(Feature("point", None, (*(float(x) for x in place), 0.1 * size)))
     return features
-
-
-def peaks(course: np.ndarray, span: float) -> list[float]:
-    """Strongest frequencies [Hz] of a course in time (T, 3) with steps of `span` [s]."""
-    centred = course - course.mean(0)
-    power = (np.abs(np.fft.rfft(centred * np.hanning(len(course))[:, None], axis=0)) ** 2).sum(1)
-    frequency = np.fft.rfftfreq(len(course), span)
-    found: list[float] = []
-    for k in np.argsort(-power):
-        if len(found) == FREQUENCIES or power[k] == 0.0:
-            break
-        apart = all(abs(frequency[k] - f) > 2.5 * frequency[1] for f in found)
-        if frequency[k] > 1.5 * frequency[1] and apart:
-            found.append(float(frequency[k]))
-    return found

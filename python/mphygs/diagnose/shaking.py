@@ -8,6 +8,7 @@ import numpy as np
 
 from mphygs.compare.seen import mean_seen
 from mphygs.diagnose.candidates import Way, base_motion_ways, way_of
+from mphygs.diagnose.swings import swing_frequencies
 from mphygs.model.belief import Belief
 
 FREQUENCIES = 2
@@ -19,22 +20,6 @@ RISES, RISE, NEAR_AN_END = 2, 3.0, 3
 # Widths of a pulse, in periods of the swing that it leaves: a shorter one acts as the shortest does. Its
 # misfit is seen when about so much of it is over.
 PULSE_WIDTHS, SEEN_AT = (0.15, 0.4, 1.0), 0.33
-
-
-def peaks(residual: np.ndarray, fps: float, count: int) -> list[float]:
-    """Frequencies [Hz] at which the markers' common misfit is largest. residual: (T, M, 3)."""
-    common = mean_seen(residual, 1)
-    common = np.nan_to_num(common - mean_seen(common, 0))
-    power = (np.abs(np.fft.rfft(common * np.hanning(len(common))[:, None], axis=0)) ** 2).sum(1)
-    frequency = np.fft.rfftfreq(len(common), 1.0 / fps)
-    power[frequency < 1.5 * fps / len(common)] = 0.0
-    found: list[float] = []
-    for k in np.argsort(-power):
-        if len(found) == count or power[k] == 0.0:
-            break
-        if all(abs(frequency[k] - f) > 2.5 * fps / len(common) for f in found):
-            found.append(float(frequency[k]))
-    return found
 
 
 def rises(residual: np.ndarray, count: int) -> list[int]:
@@ -97,7 +82,9 @@ def shaking_ways(belief: Belief, residual: np.ndarray, fps: float, begin: float)
 
     residual: (T, M, 3) [m], NaN where not seen; begin: time of its first frame [s].
     """
-    swings = peaks(residual, fps, FREQUENCIES)
+    common = mean_seen(residual, 1)
+    common = np.nan_to_num(common - mean_seen(common, 0))
+    swings = swing_frequencies(common, fps, FREQUENCIES)
     ways = base_motion_ways(belief, [*swings, *(share * fps / len(residual) for share in SLOW)])
     if swings:
         ways += pulse_ways(belief, [begin + k / fps for k in rises(residual, RISES)], 1.0 / swings[0])
