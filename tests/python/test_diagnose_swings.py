@@ -27,6 +27,12 @@ def test_what_a_strong_one_spreads_to_its_neighbours_is_no_other_one() -> None:
     assert swing_frequencies(course((4.0, 1.0), (9.0, 0.1)), FPS, 2) == pytest.approx([4.0, 9.0])
 
 
+def test_a_strong_one_between_two_steps_hides_no_weak_one() -> None:
+    # Without the taper the strong one leaks more to its surroundings than the weak one has.
+    found = swing_frequencies(course((4.25, 1.0), (15.0, 0.05)), FPS, 2)
+    assert found == pytest.approx([4.25, 15.0], abs=0.26)
+
+
 def test_a_drift_is_no_swing() -> None:
     slow = course((4.0, 0.1))
     slow[:, 0] += 10.0 * np.arange(FRAMES) / FPS
