@@ -1,3 +1,5 @@
+#include <optional>
+
 #include "arrays.hpp"
 #include "fields.hpp"
 #include "point_hook.hpp"
@@ -70,26 +72,30 @@ void bind(py::module_& m, const char* name) {
              },
              py::arg("fields"), py::arg("iterations") = 60, py::arg("hook") = py::none())
         .def("simulate",
-             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress, const py::object& hook) {
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress, const py::object& hook,
+                const py::object& observer) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
                  const PointHook<T> h = to_hook<T>(hook);
+                 const std::optional<Observer> o = to_observer(observer);
                  Trajectory<T> t;
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.simulate(f, s, p, hook.is_none() ? nullptr : &h);
+                     t = self.simulate(f, s, p, hook.is_none() ? nullptr : &h, o ? &*o : nullptr);
                  }
                  return trajectory_arrays(std::move(t), self.node_count());
              },
-             py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none(), py::arg("hook") = py::none())
+             py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none(), py::arg("hook") = py::none(),
+             py::arg("observer") = py::none())
         .def("tangent",
              [](const Model& self, const py::dict& fields, const py::list& directions, const py::dict& schedule,
-                const py::object& progress, const py::object& hook, const py::list& added) {
+                const py::object& progress, const py::object& hook, const py::list& added, const py::object& observer) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
                  const PointHook<T> h = to_hook<T>(hook);
                  const std::vector<Added<T>> a = to_added<T>(added);
+                 const std::optional<Observer> o = to_observer(observer);
                  std::vector<Fields<T>> d;
                  for (const auto& item : directions) {
                      d.push_back(to_fields<T>(item.cast<py::dict>()));
@@ -98,7 +104,7 @@ void bind(py::module_& m, const char* name) {
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.tangent(f, d, s, p, hook.is_none() ? nullptr : &h, a);
+                     t = self.tangent(f, d, s, p, hook.is_none() ? nullptr : &h, a, o ? &*o : nullptr);
                  }
                  py::list out;
                  for (auto& x : t) {
@@ -107,25 +113,26 @@ void bind(py::module_& m, const char* name) {
                  return out;
              },
              py::arg("fields"), py::arg("directions"), py::arg("schedule"), py::arg("progress") = py::none(),
-             py::arg("hook") = py::none(), py::arg("added") = py::list())
+             py::arg("hook") = py::none(), py::arg("added") = py::list(), py::arg("observer") = py::none())
         .def("adjoint",
              [](const Model& self, const py::dict& fields, const py::dict& schedule, const Array<T>& displacement_bar,
-                const Array<T>& velocity_bar, const py::object& progress, const py::object& hook) {
+                const Array<T>& velocity_bar, const py::object& progress, const py::object& hook, const py::object& observer) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
                  const PointHook<T> h = to_hook<T>(hook);
+                 const std::optional<Observer> o = to_observer(observer);
                  const Trajectory<T> bar{to_vector<T>(displacement_bar), to_vector<T>(velocity_bar)};
                  Fields<T> g;
                  long recomputed = 0;
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     g = self.adjoint(f, s, bar, p, &recomputed, hook.is_none() ? nullptr : &h);
+                     g = self.adjoint(f, s, bar, p, &recomputed, hook.is_none() ? nullptr : &h, o ? &*o : nullptr);
                  }
                  return py::make_tuple(fields_dict(std::move(g)), recomputed);
              },
              py::arg("fields"), py::arg("schedule"), py::arg("displacement_bar"), py::arg("velocity_bar"),
-             py::arg("progress") = py::none(), py::arg("hook") = py::none());
+             py::arg("progress") = py::none(), py::arg("hook") = py::none(), py::arg("observer") = py::none());
 }
 
 }  // namespace

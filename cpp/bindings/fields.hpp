@@ -1,6 +1,8 @@
 // Dictionaries of numpy arrays <-> Geometry, Settings, Schedule, Fields, Trajectory.
 #pragma once
 
+#include <optional>
+
 #include "arrays.hpp"
 #include "mphygs/transfers/total_lagrangian.hpp"
 
@@ -106,6 +108,29 @@ inline mphygs::Settings to_settings(const py::dict& d) {
         s.displacement_limit = d["displacement_limit"].cast<double>();
     }
     return s;
+}
+
+/// None, or a dictionary of an observer's rows, reach, gains and shares.
+inline std::optional<mphygs::Observer> to_observer(const py::object& given) {
+    if (given.is_none()) {
+        return std::nullopt;
+    }
+    const py::dict d = given.cast<py::dict>();
+    reject_unknown(d,
+                   {"row_begin", "row_carrier", "row_weight", "reach_begin", "reach_channel", "reach_weight", "stiffness", "damping",
+                    "share"},
+                   "observer");
+    mphygs::Observer o;
+    o.row_begin = entry<std::int32_t>(d, "row_begin");
+    o.row_carrier = entry<std::int32_t>(d, "row_carrier");
+    o.row_weight = entry<double>(d, "row_weight");
+    o.reach_begin = entry<std::int32_t>(d, "reach_begin");
+    o.reach_channel = entry<std::int32_t>(d, "reach_channel");
+    o.reach_weight = entry<double>(d, "reach_weight");
+    o.stiffness = d["stiffness"].cast<double>();
+    o.damping = d["damping"].cast<double>();
+    o.share = entry<double>(d, "share");
+    return o;
 }
 
 inline mphygs::Schedule to_schedule(const py::dict& d) {

@@ -124,6 +124,7 @@ void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s) const {
     size(f.node_force, 3 * count * frames, true, "node_force");
     size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
          geometry_.hold_count == 0, "pose");
+    require(f.target.empty(), "target: feedback from targets needs the total-Lagrangian transfer");
 }
 
 template class MlsMpm<float>;

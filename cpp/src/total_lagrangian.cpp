@@ -29,11 +29,12 @@ SimulationError TotalLagrangian<T>::failure(const std::vector<T>& u, int frame, 
 
 template <class T>
 Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress,
-                                           const PointHook<T>* hook) const {
-    check(fields, schedule);
+                                           const PointHook<T>* hook, const Observer* observer) const {
+    check(fields, schedule, observer);
     Inputs<T, 0> inputs;
     inputs.primal = &fields;
     inputs.hook = hook;
+    inputs.observer = observer;
     const std::size_t size = 3 * node_count();
     auto result = room<T>(1, (schedule.steps.size() + 1) * size);
     Team::run(settings_.threads, [&](Team& team) {
@@ -46,15 +47,16 @@ Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>& fields, const Schedu
 
 template <class T>
 Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>& fields, const Schedule& schedule, const Trajectory<T>& bar,
-                                      const Progress& progress, long* recomputed, const PointHook<T>* hook) const {
-    check(fields, schedule);
+                                      const Progress& progress, long* recomputed, const PointHook<T>* hook,
+                                      const Observer* observer) const {
+    check(fields, schedule, observer);
     const std::size_t wanted = (schedule.steps.size() + 1) * 3 * node_count();
     if ((!bar.displacement.empty() && bar.displacement.size() != wanted) || (!bar.velocity.empty() && bar.velocity.size() != wanted)) {
         throw std::invalid_argument("the bar of the trajectory must be (frames + 1, nodes, 3)");
     }
     Fields<T> result;
     Team::run(settings_.threads, [&](Team& team) {
-        TotalLagrangianReverse<T> reverse(*this, fields, schedule, bar, hook, team);
+        TotalLagrangianReverse<T> reverse(*this, fields, schedule, bar, hook, observer, team);
         result = reverse.gradient(progress, recomputed);
     });
     return result;
@@ -68,6 +70,7 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
     value.displacement0.clear();
     value.velocity0.clear();
     value.node_force.clear();
+    value.target.clear();
     std::fill(value.stress_volume.begin(), value.stress_volume.end(), T{});  // no stress
     Inputs<T, 0> inputs;
     inputs.primal = &value;
@@ -94,6 +97,7 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
     value.displacement0.clear();
     value.velocity0.clear();
     value.node_force.clear();
+    value.target.clear();
     std::array<double, 2> result{0, 0};
     Inputs<T, 1> inputs;
     inputs.primal = &value;
@@ -145,9 +149,10 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
 #define MPHYGS_INSTANTIATE(T)                                                                                             \
     template SimulationError TotalLagrangian<T>::failure(const std::vector<T>&, int, double) const;                       \
     template std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>&) const;                                        \
-    template Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>&, const Schedule&, const Progress&, const PointHook<T>*) const; \
+    template Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>&, const Schedule&, const Progress&, const PointHook<T>*, \
+                                                         const Observer*) const; \
     template Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>&, const Schedule&, const Trajectory<T>&, const Progress&, long*, \
-                                                   const PointHook<T>*) const; \
+                                                   const PointHook<T>*, const Observer*) const; \
     template std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>&) const;                                      \
     template std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>&, int, const PointHook<T>*) const;
 MPHYGS_INSTANTIATE(float)

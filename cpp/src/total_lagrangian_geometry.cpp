@@ -294,7 +294,7 @@ void TotalLagrangian<T>::check_body(const Fields<T>& f) const {
 }
 
 template <class T>
-void TotalLagrangian<T>::check(const Fields<T>& f, const Schedule& s) const {
+void TotalLagrangian<T>::check(const Fields<T>& f, const Schedule& s, const Observer* observer) const {
     const std::size_t frames = s.steps.size();
     require(s.dt.size() == frames, "the schedule needs one dt per interval");
     for (std::size_t k = 0; k < frames; ++k) {
@@ -304,6 +304,10 @@ void TotalLagrangian<T>::check(const Fields<T>& f, const Schedule& s) const {
     require_size(f.node_force, 3 * node_count() * frames, true, "node_force");
     require_size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
                  geometry_.hold_count == 0, "pose");
+    require(observer || f.target.empty(), "the fields have a target but there is no observer");
+    if (observer) {
+        observer->check(node_count(), frames, f.target.size());
+    }
 }
 
 template <class T>

@@ -34,8 +34,8 @@ auto in_lanes(std::size_t directions, const F& f) {
 template <class T>
 std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, const std::vector<Fields<T>>& directions,
                                                        const Schedule& schedule, const Progress& progress, const PointHook<T>* hook,
-                                                       const std::vector<Added<T>>& added) const {
-    check(fields, schedule);
+                                                       const std::vector<Added<T>>& added, const Observer* observer) const {
+    check(fields, schedule, observer);
     if (!added.empty() && added.size() != directions.size()) {
         throw std::invalid_argument("added effects of another number of directions than there are");
     }
@@ -56,7 +56,7 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
     }
     std::vector<Trajectory<T>> result;
     if (directions.empty()) {
-        result.push_back(simulate(fields, schedule, progress, hook));
+        result.push_back(simulate(fields, schedule, progress, hook, observer));
     }
     const std::size_t size = 3 * node_count(), numbers = (schedule.steps.size() + 1) * size;
     for (std::size_t done = 0; done < directions.size();) {
@@ -75,6 +75,7 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
             inputs.primal = &fields;
             inputs.direction[0] = &directions[done];
             inputs.hook = hook;
+            inputs.observer = observer;
             inputs.first_direction = static_cast<int>(done);
             Team::run(settings_.threads, [&](Team& team) {
                 TotalLagrangianRun<T, 1> run(*this, inputs, schedule, team);
@@ -91,7 +92,7 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
         auto part = alone ? single() : in_lanes<T>(wanted, [&]<int L>(std::integral_constant<int, L>) {
             auto trajectories = room<T>(1 + wanted, numbers);
             Team::run(settings_.threads, [&](Team& team) {
-                TotalLagrangianDirections<T, L> run(*this, fields, some, theirs, hook, static_cast<int>(done), schedule, team);
+                TotalLagrangianDirections<T, L> run(*this, fields, some, theirs, hook, observer, static_cast<int>(done), schedule, team);
                 const auto keep = [&](std::size_t f) {
                     Trajectory<T>& value = trajectories[0];
                     run.value().output(0, &value.displacement[f * size], &value.velocity[f * size]);
@@ -113,7 +114,7 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
 #define MPHYGS_INSTANTIATE(T)                                                                                             \
     template std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>&, const std::vector<Fields<T>>&,      \
                                                                     const Schedule&, const Progress&, const PointHook<T>*, \
-                                                                    const std::vector<Added<T>>&) const;
+                                                                    const std::vector<Added<T>>&, const Observer*) const;
 MPHYGS_INSTANTIATE(float)
 MPHYGS_INSTANTIATE(double)
 #undef MPHYGS_INSTANTIATE

@@ -4,6 +4,7 @@
 #include <type_traits>
 
 #include "mphygs/model.hpp"
+#include "mphygs/observer.hpp"
 #include "mphygs/point_hook.hpp"
 #include "mphygs/small.hpp"
 
@@ -59,6 +60,7 @@ struct Inputs {
     const Fields<T>* primal = nullptr;
     const Fields<T>* direction[K == 0 ? 1 : K] = {};
     const PointHook<T>* hook = nullptr;  // nullptr: none
+    const Observer* observer = nullptr;  // nullptr: a free run
     int first_direction = 0;             // number of direction[0] among the caller's
 
     using Member = std::vector<T> Fields<T>::*;

@@ -104,15 +104,16 @@ struct Fields {
     std::vector<T> velocity0;        // (N, 3) [m/s]
     std::vector<T> node_force;       // (F, N, 3) known force between frames [N]
     std::vector<T> pose;             // (H, steps + 1, 12): R (row major) and p of every hold [-, m]
+    std::vector<T> target;           // (F, M, 4, 3) of an observer's channels, polynomials in each interval [m]
     // The same names, for loops over all of them.
-    static constexpr int count = 13;
+    static constexpr int count = 14;
     std::array<std::vector<T>*, count> all() {
         return {&mu, &lambda, &stress_volume, &mass, &deformation0, &effect, &place_mass, &place_effect,
-                &gravity, &displacement0, &velocity0, &node_force, &pose};
+                &gravity, &displacement0, &velocity0, &node_force, &pose, &target};
     }
     static constexpr std::array<const char*, count> names = {
         "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
-        "gravity", "displacement0", "velocity0", "node_force", "pose"};
+        "gravity", "displacement0", "velocity0", "node_force", "pose", "target"};
 };
 
 /// Node states at the output frames (the initial state is frame 0).

@@ -194,12 +194,13 @@ class Experiment:
         jacobian: bool = True,
         refine: bool = False,
         beside: float | None = None,
+        gain: float = 0.0,
         report: Callable[[str], None] | None = None,
     ) -> dict[str, Compared]:
         """Prediction beside measurement of every sequence at a fitted belief.
 
         refine: whether the discretisation's share is asked for; beside: spacing of the grid that shows it
-        [m], None for a finer one (see `with_refinement`).
+        [m], None for a finer one (see `with_refinement`); gain: of the feedback under which it is predicted.
         """
         out = {}
         for name in self.compared_names(names):
@@ -211,7 +212,8 @@ class Experiment:
             last = max(b for a, b in (fit, predict) if b > a)
             known = self.with_release(belief, name, spacing)
             keys = [p.key for p in known.free] if jacobian else []
-            prediction = predictor.predict(known, last=last, keys=keys)
+            pull = predictor.pulled_by(self.observations[name].position, gain) if gain else None
+            prediction = predictor.predict(known, last=last, keys=keys, feedback=pull)
             total = predictor.recording.frames
             item = Compared(
                 self.observations[name],

@@ -13,6 +13,7 @@ from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
 
@@ -68,7 +69,8 @@ class Evaluation:
 class Problem:
     """Residuals of one capture at one spacing.
 
-    ranges: sequence name -> (first, last) frames to use; predictors are built once and shared.
+    ranges: sequence name -> (first, last) frames to use; predictors are built once and shared; gain: of the
+    feedback from the measurement under which everything is simulated, 0 for free runs (see `Feedback`).
     """
 
     capture: Capture
@@ -77,6 +79,7 @@ class Problem:
     observations: Mapping[str, Observation]
     predictors: dict[str, Predictor] = field(default_factory=dict)
     substep: float | None = None
+    gain: float = 0.0
 
     def __post_init__(self) -> None:
         bodies: dict[bytes, object] = {}
@@ -100,13 +103,21 @@ class Problem:
         ranges = {
             n: (a, min(b, a + max(8, int(round(share * (b - a)))))) for n, (a, b) in self.ranges.items()
         }
-        return Problem(self.capture, self.settings, ranges, self.observations, self.predictors, self.substep)
+        return replace(self, ranges=ranges)
 
     def with_ranges(self, ranges: Mapping[str, tuple[int, int]]) -> Problem:
         """The same problem on other frames; sequences that are new get their predictors."""
-        return Problem(
-            self.capture, self.settings, ranges, self.observations, dict(self.predictors), self.substep
-        )
+        return replace(self, ranges=ranges, predictors=dict(self.predictors))
+
+    def under(self, gain: float) -> Problem:
+        """The same problem under feedback of another gain, 0 for free runs."""
+        return self if gain == self.gain else replace(self, gain=gain)
+
+    def feedback(self, name: str) -> Feedback | None:
+        """What pulls a sequence's simulation, None for a free run."""
+        if self.gain == 0.0:
+            return None
+        return self.predictors[name].pulled_by(self.observations[name].position, self.gain)
 
     def stable_substep(self, belief: Belief) -> float:
         """Shortest substep that any sequence needs [s]."""
@@ -120,7 +131,8 @@ class Problem:
         """
         keys = tuple(p.key for p in belief.free) if jacobian else ()
         predictions = {
-            name: self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep)
+            name: self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep, feedback=self.feedback(name)
+            )
             for name, (_, last) in self.ranges.items()
         }
         evaluation = self.evaluated(

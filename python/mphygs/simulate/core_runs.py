@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from mphygs import _core
+from mphygs.simulate.observer import Observer
 
 Arrays = Mapping[str, np.ndarray]
 Progress = Callable[[int], bool] | None
@@ -19,6 +20,7 @@ Progress = Callable[[int], bool] | None
 Apart = tuple[list[str], np.ndarray]
 
 _MLS = (_core.MlsMpmFloat32, _core.MlsMpmFloat64)
+NO_OBSERVER = "feedback from the measurement does not run in MLS-MPM; expected the total-Lagrangian transfer"
 NO_HOOK = "effects in Python do not run in MLS-MPM; expected the total-Lagrangian transfer"
 
 
@@ -38,19 +40,30 @@ def state_size(model: object) -> int:
     return 3 if is_mls(model) else 2
 
 
-def _without_hook(hook: object | None) -> None:
+def _plain(hook: object | None, observer: Observer | None) -> None:
     if hook is not None:
         raise ValueError(NO_HOOK)
+    if observer is not None:
+        raise ValueError(NO_OBSERVER)
+
+
+def _given(observer: Observer | None) -> dict[str, object] | None:
+    return None if observer is None else observer.as_dict()
 
 
 def simulate(
-    model: object, fields: Arrays, schedule: Mapping, progress: Progress = None, hook: object | None = None
+    model: object,
+    fields: Arrays,
+    schedule: Mapping,
+    progress: Progress = None,
+    hook: object | None = None,
+    observer: Observer | None = None,
 ) -> tuple[np.ndarray, ...]:
     """The trajectory. Raises SimulationError where it is unstable, ValueError for sizes that disagree."""
     if is_mls(model):
-        _without_hook(hook)
+        _plain(hook, observer)
         return tuple(model.simulate(fields, schedule, progress))
-    return tuple(model.simulate(fields, schedule, progress, hook))
+    return tuple(model.simulate(fields, schedule, progress, hook, _given(observer)))
 
 
 def tangent(
@@ -61,6 +74,7 @@ def tangent(
     progress: Progress = None,
     hook: object | None = None,
     apart: Sequence[Apart | None] = (),
+    observer: Observer | None = None,
 ) -> list[tuple[np.ndarray, ...]]:
     """The trajectory, and its derivative in each direction.
 
@@ -68,9 +82,10 @@ def tangent(
     total-Lagrangian transfer.
     """
     if is_mls(model):
-        _without_hook(hook)
+        _plain(hook, observer)
         return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress)]
-    return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress, hook, list(apart))]
+    given = (progress, hook, list(apart), _given(observer))
+    return [tuple(t) for t in model.tangent(fields, list(directions), schedule, *given)]
 
 
 def adjoint(
@@ -79,11 +94,12 @@ def adjoint(
     schedule: Mapping,
     bars: Sequence[np.ndarray | None],
     hook: object | None = None,
+    observer: Observer | None = None,
 ) -> dict[str, np.ndarray]:
     """Gradient by every field of a loss whose derivatives by the trajectory are given, None for none."""
     if is_mls(model):
-        _without_hook(hook)
+        _plain(hook, observer)
         return model.adjoint(fields, schedule, tuple(bars), None)[0]
     empty = np.zeros(0, number_of(model))
     displacement, velocity = (empty if bar is None else bar for bar in bars)
-    return model.adjoint(fields, schedule, displacement, velocity, None, hook)[0]
+    return model.adjoint(fields, schedule, displacement, velocity, None, hook, _given(observer))[0]

@@ -16,6 +16,7 @@ from mphygs.simulate.body import LANES, Attachment, Body
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.particle_body import ParticleBody
+from mphygs.simulate.observer import Observer
 from mphygs.simulate.transfer import Start, Transfer
 
 # Particles that carry one marker together: about those within 0.85 of a spacing.
@@ -135,9 +136,10 @@ class MaterialPoints(Transfer):
         return change | {"deformation0": (start.gradient + np.eye(3)) @ change["deformation0"]}
 
     def simulate(
-        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None
+        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None,
+        observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
-        return self._displaced(core_runs.simulate(model, fields, schedule, progress, hook))
+        return self._displaced(core_runs.simulate(model, fields, schedule, progress, hook, observer))
 
     def _displaced(self, trajectory: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         position, velocity, deformation = trajectory
@@ -152,8 +154,11 @@ class MaterialPoints(Transfer):
         progress: Progress,
         hook: object | None,
         apart: Sequence[Apart | None] = (),
+        observer: Observer | None = None,
     ) -> list[tuple[np.ndarray, ...]]:
-        value, *slopes = core_runs.tangent(model, fields, directions, schedule, progress, hook)
+        value, *slopes = core_runs.tangent(
+            model, fields, directions, schedule, progress, hook, observer=observer
+        )
         return [self._displaced(value), *slopes]
 
     def adjoint(
@@ -163,8 +168,9 @@ class MaterialPoints(Transfer):
         schedule: dict,
         bars: tuple[np.ndarray, np.ndarray],
         hook: object | None,
+        observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:
-        return core_runs.adjoint(model, fields, schedule, (*bars, None), hook)
+        return core_runs.adjoint(model, fields, schedule, (*bars, None), hook, observer)
 
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
         free = LANES * self.body.free_block_count

@@ -23,7 +23,8 @@ def measured(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Faults of the measurement, applied to what the simulation says.
 
-    A late clock has its part already: the simulation shows the frames when they were taken. times: (T,) that
+    A late clock has its part already: the simulation shows the frames when they were taken. Under feedback the
+    columns of faults hold already what they make of the motion, by moving its targets. times: (T,) that
     the measurement states [s]; position [m], velocity [m/s]: (T, M, 3); jacobian: (T, M, 3, K) by the wanted
     parameters, whose columns of faults are filled here.
     """
@@ -32,7 +33,7 @@ def measured(
     owners = [parameter.key.rpartition(".")[::2] for _, parameter in wanted]
     for slot, (owner, _) in enumerate(owners):
         if owner == "time_offset":
-            jacobian[..., slot] = velocity * wanted[slot][1].slope
+            jacobian[..., slot] += velocity * wanted[slot][1].slope
     shift, turning = _rates(belief)
     if turning.any():
         rotation = matrix_from_rotation_vector(times[:, None] * turning)
@@ -45,15 +46,26 @@ def measured(
             axis = "xyz".index(quantity[-1])
             along = np.broadcast_to(np.eye(3)[axis], position.shape)
             moved = along if quantity[0] == "v" else np.cross(about[:, None, :, axis], position)
-            jacobian[..., slot] = t * moved * wanted[slot][1].slope
+            jacobian[..., slot] += t * moved * wanted[slot][1].slope
     position, velocity, factor = position + t * shift, velocity + shift, 1.0
     if "length_scale" in belief.effects:
         factor = 1.0 + belief["length_scale.scale"].value
         velocity, jacobian = velocity * factor, jacobian * factor
     for slot, (owner, _) in enumerate(owners):
         if owner == "length_scale":
-            jacobian[..., slot] = position * wanted[slot][1].slope
+            jacobian[..., slot] += position * wanted[slot][1].slope
     return position * factor, velocity, jacobian
+
+
+def unmeasured(belief: Belief, times: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Where the markers truly were, (T, M, 3) [m]: what was measured, less the belief's faults but for the clock."""
+    if "length_scale" in belief.effects:
+        position = position / (1.0 + belief["length_scale.scale"].value)
+    shift, turning = _rates(belief)
+    position = position - times[:, None, None] * shift
+    if turning.any():
+        position = position @ matrix_from_rotation_vector(times[:, None] * turning)
+    return position
 
 
 def before_measurement(belief: Belief, times: np.ndarray, bar: np.ndarray) -> np.ndarray:

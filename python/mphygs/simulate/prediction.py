@@ -18,6 +18,7 @@ from mphygs.simulate.batches import Batch, Owned, batches_of
 from mphygs.simulate.body import Body, discretise, hold_boxes
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.errors import Halted
+from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.fields import core_effects, direction, places, primal
 from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.measurement import measured
@@ -74,8 +75,10 @@ class Predictor:
         if recording.markers is not None:
             self.attachment = body.attach(recording.markers.at)
         # With derivatives, and without.
-        self._kept: list[tuple[Belief, int, float | None, Prediction]] = []
-        self._plain: list[tuple[Belief, int, float | None, Prediction]] = []
+        self._kept: list[tuple] = []
+        self._plain: list[tuple] = []
+        self._pull: Feedback | None = None
+        self._pulls: dict[float, Feedback] = {}
         self._halt: Event | None = None
 
     def twin(self, workers: int, halt: Event | None = None) -> Predictor:
@@ -202,7 +205,9 @@ class Predictor:
         """Direction of all fields for each parameter, prestress included."""
         here = self.recording.name
         changes = [
-            {} if is_absent(owner, parameter, here) else direction(owner, self.body, parameter)
+            direction(owner, self.body, parameter)
+            if acts_in_simulation(parameter) and not is_absent(owner, parameter, here)
+            else {}
             for owner, parameter in owned
         ]
         for change, (owner, parameter) in zip(changes, owned, strict=True):
@@ -247,6 +252,7 @@ class Predictor:
         candidates: Sequence[Owned] = (),
         substep: float | None = None,
         start: Start | None = None,
+        feedback: Feedback | None = None,
         progress: Callable[[int], bool] | None = None,
     ) -> Prediction:
         """Positions of the markers in frames 0..last-1, and derivatives; those of the same belief, keys and
@@ -254,7 +260,8 @@ class Predictor:
 
         keys: parameters of the belief to differentiate by; candidates: parameters of other beliefs, each
         this one plus an effect at its null, to differentiate by as well (they share the same motion);
-        start: a state in mid-motion, whose frame is then the first.
+        start: a state in mid-motion, whose frame is then the first; feedback: what of the measurement pulls the
+        motion, None for a free run.
         Raises SimulationError where the run is unstable, ValueError for an effect that the transfer cannot
         have, Halted where a twin is told to.
         """
@@ -262,21 +269,27 @@ class Predictor:
             raise Halted(self.recording.name)
         last = self.recording.frames if last is None else last
         whole = start is None and not candidates
-        known = self._known(belief, last, substep, tuple(keys)) if whole else None
+        feedback = None if feedback is None or feedback.gain == 0.0 else feedback
+        known = self._known(belief, last, substep, tuple(keys), feedback) if whole else None
         if known is not None:
             return known
         dt = substep or self.stable_substep(belief)
         timeline = self.timeline(belief, last, dt, start)
         wanted = [(belief, belief[key]) for key in keys] + list(candidates)
-        slots = [k for k, (_, parameter) in enumerate(wanted) if acts_in_simulation(parameter)]
-        states, tangents = self._runs(belief, [wanted[k] for k in slots], timeline, start, progress)
+        slots = [
+            k
+            for k, (_, parameter) in enumerate(wanted)
+            if acts_in_simulation(parameter) or feedback is not None and moves_targets(parameter)
+        ]
+        moving = [wanted[k] for k in slots]
+        states, tangents = self._runs(belief, moving, timeline, start, progress, feedback)
         position, velocity = self.carriers.observe(states, timeline, self.recording)
         jacobian = np.zeros((*position.shape, len(wanted)))
         for slot, tangent in zip(slots, tangents, strict=True):
             jacobian[..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
         for slot, (_, parameter) in enumerate(wanted):
             if parameter.key == f"{self.recording.name}.release_shift" and start is None:
-                jacobian[..., slot] = self._release_slope(belief, parameter, last, dt, position)
+                jacobian[..., slot] = self._release_slope(belief, parameter, last, dt, position, feedback)
         times = timeline.frames / self.recording.fps
         position, velocity, jacobian = measured(belief, wanted, times, position, velocity, jacobian)
         names = tuple(p.key for _, p in wanted)
@@ -285,28 +298,50 @@ class Predictor:
         )
         if whole:
             kept = self._kept if names else self._plain
-            kept[:] = [*kept[1 - KEPT :], (belief, last, substep, prediction)]
+            kept[:] = [*kept[1 - KEPT :], (belief, last, substep, feedback, prediction)]
         return prediction
 
     def _known(
-        self, belief: Belief, last: int, substep: float | None, keys: tuple[str, ...]
+        self,
+        belief: Belief,
+        last: int,
+        substep: float | None,
+        keys: tuple[str, ...],
+        feedback: Feedback | None,
     ) -> Prediction | None:
         """One of the latest predictions, where it is the one that is asked for."""
-        for of, until, step, prediction in (*self._kept, *self._plain):
-            if of is belief and (until, step) == (last, substep) and keys in ((), prediction.keys):
+        for of, until, step, pull, prediction in (*self._kept, *self._plain):
+            same = of is belief and pull is feedback and (until, step) == (last, substep)
+            if same and keys in ((), prediction.keys):
                 if keys:
                     return prediction
                 return replace(prediction, jacobian=prediction.jacobian[..., :0], keys=())
         return None
 
-    def states(self, belief: Belief, timeline: Timeline, start: Start | None = None) -> tuple:
+    def states(
+        self,
+        belief: Belief,
+        timeline: Timeline,
+        start: Start | None = None,
+        feedback: Feedback | None = None,
+    ) -> tuple:
         """Displacement [m] and velocity [m/s] of all carriers at the run's frames, (S, N, 3) each."""
-        return self._runs(belief, [], timeline, start, None)[0]
+        return self._runs(belief, [], timeline, start, None, feedback)[0]
 
-    def von_mises(self, belief: Belief, last: int) -> np.ndarray:
+    def pulled_by(self, position: np.ndarray, gain: float) -> Feedback:
+        """What pulls the motion towards measured markers (T, M, 3) [m], kept. gain: see `Feedback`."""
+        if self._pull is None or self._pull.position is not position:
+            places = self.transfer.places_at_rest()
+            self._pull = Feedback.of(self.recording, self.carriers, places, position)
+            self._pulls = {1.0: self._pull}
+        if gain not in self._pulls:
+            self._pulls[gain] = self._pull.scaled(gain)
+        return self._pulls[gain]
+
+    def von_mises(self, belief: Belief, last: int, feedback: Feedback | None = None) -> np.ndarray:
         """Von Mises stress of the base law at the quadrature points, (T, B, 8) [Pa], at frames 0..last-1."""
         timeline = self.timeline(belief, last, self.stable_substep(belief))
-        f = self.transfer.deformation(self.states(belief, timeline), belief)
+        f = self.transfer.deformation(self.states(belief, timeline, feedback=feedback), belief)
         mu = primal(belief, self.body)["mu"][: f.shape[1]]
         # Kirchhoff deviator of the neo-Hookean law: mu dev(F F^T).
         b = f @ np.swapaxes(f, -1, -2)
@@ -314,7 +349,13 @@ class Predictor:
         return mu * np.sqrt(1.5 * (b * b).sum((-2, -1)))
 
     def _release_slope(
-        self, belief: Belief, parameter: Parameter, last: int, dt: float, position: np.ndarray
+        self,
+        belief: Belief,
+        parameter: Parameter,
+        last: int,
+        dt: float,
+        position: np.ndarray,
+        feedback: Feedback | None,
     ) -> np.ndarray:
         """By a difference: the release moves the schedule's start, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
@@ -322,7 +363,8 @@ class Predictor:
             step = -step
         moved = belief.with_parameter(parameter.key, value=parameter.value + step)
         timeline = self.timeline(moved, last, dt)
-        later, _ = self.carriers.observe(self.states(moved, timeline), timeline, self.recording)
+        states = self.states(moved, timeline, feedback=feedback)
+        later, _ = self.carriers.observe(states, timeline, self.recording)
         return (later - position) / step * parameter.slope
 
     def _runs(
@@ -332,25 +374,32 @@ class Predictor:
         timeline: Timeline,
         start: Start | None,
         progress: Callable[[int], bool] | None,
+        feedback: Feedback | None,
     ) -> tuple[tuple, list[tuple]]:
         """The states, and their tangent by every owned parameter."""
+        observer = None if feedback is None else feedback.observer(timeline)
+        pull = {} if feedback is None else {"target": feedback.target(belief, timeline)}
         if not owned:
             model = self.model_of(belief)
-            fields = self.inputs(belief, timeline, start)
+            fields = self.inputs(belief, timeline, start) | pull
             hook = self._hook(belief, fields)
             self.transfer.share(model, self.workers)
-            return self.transfer.simulate(model, fields, timeline.schedule, progress, hook), []
+            run = self.transfer.simulate(model, fields, timeline.schedule, progress, hook, observer=observer)
+            return run, []
         for owner, _ in owned:
             check_effects(self.settings.transfer, owner.effects)
         # As few runs as there can be, side by side; what threads are left share each run's work.
         workers = self.workers
         changes = self.changes(belief, owned, timeline, start)
+        for change, (owner, parameter) in zip(changes, owned, strict=True):
+            if feedback is not None and moves_targets(parameter):
+                change["target"] = feedback.change(owner, parameter, timeline)
         base = self._material(belief, start)
         batches = batches_of(
             belief, self.body, base, owned, changes,
             largest=self.transfer.batch, apart=self.transfer.keeps_apart,
         )  # fmt: skip
-        imposed = self._imposed(belief, timeline)
+        imposed = self._imposed(belief, timeline) | pull
         # Models are made here, one after the other: caches are not shared between threads.
         models = [self.model(batch.active, batch.spots, belief.law) for batch in batches]
         for model in models:
@@ -360,7 +409,7 @@ class Predictor:
             fields = batch.fields | imposed
             hook = self._hook(belief, fields, [owned[i] for i in batch.members], batch.directions)
             return self.transfer.tangent(
-                model, fields, batch.directions, timeline.schedule, progress, hook, batch.apart
+                model, fields, batch.directions, timeline.schedule, progress, hook, batch.apart, observer=observer
             )
 
         if len(batches) == 1:
@@ -373,6 +422,14 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
+
+
+def moves_targets(parameter: Parameter) -> bool:
+    """Whether a parameter changes where the measurement says that markers are: a fault of it."""
+    try:
+        return effect(parameter.key.rsplit(".", 1)[0]).site == "measurement"
+    except KeyError:
+        return False
 
 
 def acts_in_simulation(parameter: Parameter) -> bool:

@@ -13,6 +13,7 @@ from mphygs.simulate import core_runs
 from mphygs.simulate.body import Attachment, Body, core_model, with_places
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
+from mphygs.simulate.observer import Observer
 from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
@@ -120,9 +121,10 @@ class TotalLagrangian(Transfer):
         return change
 
     def simulate(
-        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None
+        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None,
+        observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
-        return core_runs.simulate(model, fields, schedule, progress, hook)
+        return core_runs.simulate(model, fields, schedule, progress, hook, observer)
 
     def tangent(
         self,
@@ -133,8 +135,9 @@ class TotalLagrangian(Transfer):
         progress: Progress,
         hook: object | None,
         apart: Sequence[Apart | None] = (),
+        observer: Observer | None = None,
     ) -> list[tuple[np.ndarray, ...]]:
-        return core_runs.tangent(model, fields, directions, schedule, progress, hook, apart)
+        return core_runs.tangent(model, fields, directions, schedule, progress, hook, apart, observer)
 
     def adjoint(
         self,
@@ -143,8 +146,9 @@ class TotalLagrangian(Transfer):
         schedule: dict,
         bars: tuple[np.ndarray, np.ndarray],
         hook: object | None,
+        observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:
-        return core_runs.adjoint(model, fields, schedule, bars, hook)
+        return core_runs.adjoint(model, fields, schedule, bars, hook, observer)
 
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
         q = self.body.quadrature

@@ -13,6 +13,7 @@ from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.body import Attachment, Body
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
+from mphygs.simulate.observer import Observer
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.settings import Settings
 
@@ -116,7 +117,8 @@ class Transfer(ABC):
 
     @abstractmethod
     def simulate(
-        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None
+        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None,
+        observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
         """Displacement [m] and velocity [m/s] of the carriers, (S, N, 3), and what else the transfer has."""
 
@@ -130,6 +132,7 @@ class Transfer(ABC):
         progress: Progress,
         hook: object | None,
         apart: Sequence[Apart | None] = (),
+        observer: Observer | None = None,
     ) -> list[tuple[np.ndarray, ...]]:
         """The states of `simulate`, and their derivative in each direction. apart: effects that each alone
         has; where `keeps_apart` is not set there are none."""
@@ -142,6 +145,7 @@ class Transfer(ABC):
         schedule: dict,
         bars: tuple[np.ndarray, np.ndarray],
         hook: object | None,
+        observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:
         """Bars of all fields for those of the carriers' displacement and velocity, (S, N, 3)."""
 

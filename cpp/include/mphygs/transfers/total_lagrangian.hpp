@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "mphygs/model.hpp"
+#include "mphygs/observer.hpp"
 #include "mphygs/point_hook.hpp"
 #include "mphygs/registry.hpp"
 #include "mphygs/transfers/cell_springs.hpp"
@@ -58,20 +59,22 @@ class TotalLagrangian {
     /// cell: (M, 3) knot span of each point; it must be one of the object's.
     PointWeights weights(const std::vector<double>& points, const std::vector<std::int32_t>& cell) const;
 
-    /// hook: further forces at the quadrature points, or nullptr.
+    /// hook: further forces at the quadrature points, or nullptr; observer: feedback to the fields' target, or nullptr.
     Trajectory<T> simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress = {},
-                           const PointHook<T>* hook = nullptr) const;
+                           const PointHook<T>* hook = nullptr, const Observer* observer = nullptr) const;
 
     /// The trajectory and its derivative in each direction (directions may leave fields empty).
     /// added: for every direction the effects that it alone has, or empty.
     std::vector<Trajectory<T>> tangent(const Fields<T>& fields, const std::vector<Fields<T>>& directions,
                                        const Schedule& schedule, const Progress& progress = {},
-                                       const PointHook<T>* hook = nullptr, const std::vector<Added<T>>& added = {}) const;
+                                       const PointHook<T>* hook = nullptr, const std::vector<Added<T>>& added = {},
+                                       const Observer* observer = nullptr) const;
 
     /// Gradient of a loss whose derivatives by the trajectory are given; checkpointed.
     /// `recomputed` returns the number of substeps computed again.
     Fields<T> adjoint(const Fields<T>& fields, const Schedule& schedule, const Trajectory<T>& bar,
-                      const Progress& progress = {}, long* recomputed = nullptr, const PointHook<T>* hook = nullptr) const;
+                      const Progress& progress = {}, long* recomputed = nullptr, const PointHook<T>* hook = nullptr,
+                      const Observer* observer = nullptr) const;
 
     /// Forces at rest of the effects that act on the surface and at places (wind, tether), and the
     /// body effects times the node mass, (N, 3) [N]: what a rest shape in equilibrium carries
@@ -83,7 +86,7 @@ class TotalLagrangian {
     std::array<double, 2> largest_rates(const Fields<T>& fields, int iterations = 60, const PointHook<T>* hook = nullptr) const;
 
     /// Checks the sizes of all inputs; std::invalid_argument names the one that is wrong.
-    void check(const Fields<T>& fields, const Schedule& schedule) const;
+    void check(const Fields<T>& fields, const Schedule& schedule, const Observer* observer = nullptr) const;
     /// The same for all inputs that do not depend on the schedule.
     void check_body(const Fields<T>& fields) const;
 

@@ -23,9 +23,9 @@ class TotalLagrangianDirections {
 
     /// directions: one or more; added: as many, or none; first_direction: number of the first among the caller's.
     TotalLagrangianDirections(const Model& model, const Fields<T>& fields, std::vector<const Fields<T>*> directions,
-                              const std::vector<const Added<T>*>& added, const PointHook<T>* hook, int first_direction,
-                              const Schedule& schedule, Team& team)
-        : model_(model), directions_(std::move(directions)), hook_(hook), first_direction_(first_direction), schedule_(schedule),
+                              const std::vector<const Added<T>*>& added, const PointHook<T>* hook, const Observer* observer,
+                              int first_direction, const Schedule& schedule, Team& team)
+        : model_(model), directions_(std::move(directions)), hook_(hook), observer_(observer), first_direction_(first_direction), schedule_(schedule),
           team_(&team), slabs_((directions_.size() + width - 1) / width), stride_(model.stride_), slab_(3 * model.stride_),
           value_(model, values_alone(fields), schedule, team) {
         u_.assign(slabs_ * slab_, W{});
@@ -72,7 +72,9 @@ class TotalLagrangianDirections {
         place_forces(time);
         hook_forces(time, dt);
         known_forces(frame);
+        observe(n, frame, dt);
         accelerate(time, dt);
+        pull(dt);
         value_.step(n, frame, time, dt);
         lighten(dt);
         hold(n, dt);
@@ -144,6 +146,7 @@ class TotalLagrangianDirections {
             of_values_.forward = [this](const PointState<T>&) { return given_; };
             inputs.hook = &of_values_;
         }
+        inputs.observer = observer_;
         return inputs;
     }
     bool any(Member member) const {
@@ -220,6 +223,69 @@ class TotalLagrangianDirections {
 
     void place_forces(double time);
     void hook_forces(double time, double dt);
+
+    /// What the observer's channels ask for in all directions, at the start of a substep [m/s^2].
+    void observe(int n, int frame, double dt) {
+        if (!observer_) {
+            return;
+        }
+        const Observer& o = *observer_;
+        const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
+        const TargetBasis basis = value_.target_basis(n, frame, dt);
+        const bool aimed = any(&Fields<T>::target);
+        wanted_.assign(slabs_ * 3 * count, W{});
+        for (std::size_t s = 0; s < slabs_; ++s) {
+            for (std::size_t i = 0; i < count; ++i) {
+                const T share = static_cast<T>(o.share[from + i]);
+                if (share == T{}) {
+                    continue;
+                }
+                W place[3] = {}, rate[3] = {};
+                for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
+                    const std::size_t at_row = static_cast<std::size_t>(r);
+                    const std::size_t node = s * slab_ + 3 * static_cast<std::size_t>(o.row_carrier[at_row]);
+                    const T weight = static_cast<T>(o.row_weight[at_row]);
+                    for (std::size_t c = 0; c < 3; ++c) {
+                        place[c] -= weight * u_[node + c];
+                        rate[c] -= weight * v_[node + c];
+                    }
+                }
+                for (std::size_t c = 0; c < 3; ++c) {
+                    for (std::size_t k = 0; aimed && k < 4; ++k) {
+                        const W coefficient = lanes(&Fields<T>::target, s, ((from + i) * 4 + k) * 3 + c);
+                        place[c] += static_cast<T>(basis.value[k]) * coefficient;
+                        rate[c] += static_cast<T>(basis.rate[k]) * coefficient;
+                    }
+                    wanted_[(s * count + i) * 3 + c] =
+                        share * (static_cast<T>(o.stiffness) * place[c] + static_cast<T>(o.damping) * rate[c]);
+                }
+            }
+        }
+    }
+
+    void pull(double dt) {
+        if (!observer_) {
+            return;
+        }
+        const Observer& o = *observer_;
+        const std::size_t count = o.channel_count();
+        const T h = static_cast<T>(dt);
+        for (std::size_t n = 0; n < model_.node_count(); ++n) {
+            if (value_.inverse_mass_[n] == T{}) {
+                continue;
+            }
+            for (std::int32_t r = o.reach_begin[n]; r < o.reach_begin[n + 1]; ++r) {
+                const std::size_t at_row = static_cast<std::size_t>(r);
+                const T weight = h * static_cast<T>(o.reach_weight[at_row]);
+                const std::size_t channel = 3 * static_cast<std::size_t>(o.reach_channel[at_row]);
+                for (std::size_t s = 0; s < slabs_; ++s) {
+                    for (std::size_t c = 0; c < 3; ++c) {
+                        v_[s * slab_ + 3 * n + c] += weight * wanted_[3 * s * count + channel + c];
+                    }
+                }
+            }
+        }
+    }
 
     void known_forces(int frame) {
         if (frame != frame_) {
@@ -332,6 +398,7 @@ class TotalLagrangianDirections {
     const Model& model_;
     std::vector<const Fields<T>*> directions_;
     const PointHook<T>* hook_;
+    const Observer* observer_;
     int first_direction_;
     const Schedule& schedule_;
     Team* team_;
@@ -341,6 +408,7 @@ class TotalLagrangianDirections {
     TotalLagrangianRun<T, 0> value_;
     bool rate_ = false, surface_ = false, volume_added_ = false;
     std::vector<W> u_, v_, f_;                          // slab, node, component
+    std::vector<W> wanted_;                             // by the observer: slab, channel, component [m/s^2]
     std::vector<W> gravity_;                            // slab, component
     std::vector<D> parameters_, uniforms_;              // slab, number
     std::vector<W> mu_, lambda_, volume_, mass_points_;  // slab, point; empty where no direction changes it

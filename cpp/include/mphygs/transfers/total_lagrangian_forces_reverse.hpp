@@ -13,8 +13,8 @@ class TotalLagrangianForcesReverse {
     using V = Var<Pack<T>>;
 
     TotalLagrangianForcesReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
-                                 const PointHook<T>* hook, Team& team)
-        : model_(model), run_(model, inputs_of(fields, hook), schedule, team) {
+                                 const PointHook<T>* hook, const Observer* observer, Team& team)
+        : model_(model), run_(model, inputs_of(fields, hook, observer), schedule, team) {
         const std::size_t blocks = model.geometry_.block_count();
         ubar_.assign(run_.size_, T{});
         vbar_.assign(run_.size_, T{});
@@ -29,6 +29,7 @@ class TotalLagrangianForcesReverse {
         parameter_bar_.assign(static_cast<std::size_t>(Registry::parameter_count), 0.0);
         place_effect_bar_.assign(fields.place_effect.size(), 0.0);
         node_force_bar_.assign(fields.node_force.size(), T{});
+        target_bar_.assign(fields.target.size(), 0.0);
         pose_bar_.assign(fields.pose.size(), 0.0);
         for (const auto& c : model.chunks_) {
             chunk_bar_.emplace_back(6 * static_cast<std::size_t>(c.node_end - c.node_begin), T{});
@@ -37,10 +38,11 @@ class TotalLagrangianForcesReverse {
     }
 
   protected:
-    static Inputs<T, 0> inputs_of(const Fields<T>& fields, const PointHook<T>* hook) {
+    static Inputs<T, 0> inputs_of(const Fields<T>& fields, const PointHook<T>* hook, const Observer* observer) {
         Inputs<T, 0> inputs;
         inputs.primal = &fields;
         inputs.hook = hook;
+        inputs.observer = observer;
         return inputs;
     }
     static std::size_t index(int n) { return static_cast<std::size_t>(n); }
@@ -388,7 +390,7 @@ class TotalLagrangianForcesReverse {
     std::vector<std::vector<double>> chunk_uniform_bar_;
     // Sums over thousands of substeps are kept in double.
     std::vector<double> mu_bar_, lambda_bar_, volume_bar_, mass_bar_, deformation0_bar_, inverse_mass_bar_, parameter_bar_,
-        place_effect_bar_, pose_bar_;
+        place_effect_bar_, pose_bar_, target_bar_;
     double gravity_bar_[3] = {0, 0, 0};
     double compliance_bar_ = 0;
 };

@@ -19,8 +19,8 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     };
 
     TotalLagrangianReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
-                           const Trajectory<T>& bar, const PointHook<T>* hook, Team& team)
-        : Forces(model, fields, schedule, hook, team), schedule_(schedule), bar_(bar) {
+                           const Trajectory<T>& bar, const PointHook<T>* hook, const Observer* observer, Team& team)
+        : Forces(model, fields, schedule, hook, observer, team), schedule_(schedule), bar_(bar) {
         double time = schedule.start;
         for (int f = 0; f < schedule.frame_count(); ++f) {
             for (int s = 0; s < schedule.steps[static_cast<std::size_t>(f)]; ++s) {
@@ -134,6 +134,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             }
             gravity_bar_[c] += gravity;
         }
+        const std::vector<double> asked = asked_bar(dt);
         all_uniforms(model_.slots_, run_.parameters_.data(), static_cast<T>(time), h, run_.plain_uniforms_.data());
         for (std::size_t i = 0; i < run_.uniforms_.size(); ++i) {
             run_.uniforms_[i] = broadcast<T>(run_.plain_uniforms_[i]);
@@ -167,6 +168,51 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             }
         }
         reverse_uniforms(time, dt);
+        reverse_observer(n, frame, dt, asked);
+    }
+
+    /// Bar of what the observer's channels ask for, (channels, 3): dt G^T of the bar of v*.
+    std::vector<double> asked_bar(double dt) const {
+        const Observer* o = run_.inputs_.observer;
+        std::vector<double> bar(o ? 3 * o->channel_count() : 0, 0.0);
+        for (std::size_t n = 0; o && n < model_.node_count(); ++n) {
+            if (run_.inverse_mass_[n] == T{}) {
+                continue;
+            }
+            for (std::int32_t r = o->reach_begin[n]; r < o->reach_begin[n + 1]; ++r) {
+                const std::size_t at_row = static_cast<std::size_t>(r);
+                for (std::size_t c = 0; c < 3; ++c) {
+                    bar[3 * static_cast<std::size_t>(o->reach_channel[at_row]) + c] +=
+                        dt * o->reach_weight[at_row] * static_cast<double>(vbar_[run_.at(0, c, n)]);
+                }
+            }
+        }
+        return bar;
+    }
+
+    /// Of linear rows the adjoint is the transpose: no value is needed.
+    void reverse_observer(int n, int frame, double dt, const std::vector<double>& asked) {
+        if (!run_.inputs_.observer) {
+            return;
+        }
+        const Observer& o = *run_.inputs_.observer;
+        const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
+        const TargetBasis basis = run_.target_basis(n, frame, dt);
+        for (std::size_t i = 0; i < count; ++i) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                const double place = o.share[from + i] * o.stiffness * asked[3 * i + c];
+                const double rate = o.share[from + i] * o.damping * asked[3 * i + c];
+                for (std::size_t k = 0; k < 4; ++k) {
+                    target_bar_[((from + i) * 4 + k) * 3 + c] += basis.value[k] * place + basis.rate[k] * rate;
+                }
+                for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
+                    const std::size_t at_row = static_cast<std::size_t>(r);
+                    const std::size_t node = run_.at(0, c, static_cast<std::size_t>(o.row_carrier[at_row]));
+                    ubar_[node] -= static_cast<T>(o.row_weight[at_row] * place);
+                    vbar_[node] -= static_cast<T>(o.row_weight[at_row] * rate);
+                }
+            }
+        }
     }
 
     void reverse_hold(int n, const Record& r, double dt) {
@@ -282,6 +328,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
         out.node_force = node_force_bar_;
         out.pose = narrow(pose_bar_);
+        out.target = narrow(target_bar_);
         return out;
     }
 
@@ -289,7 +336,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     using Forces::fbar_, Forces::gravity_bar_, Forces::index, Forces::inverse_mass_bar_, Forces::lambda_bar_, Forces::mass_bar_;
     using Forces::model_, Forces::mu_bar_, Forces::node_force_bar_, Forces::parameter_bar_, Forces::place_effect_bar_;
     using Forces::pose_bar_, Forces::reverse_body, Forces::reverse_chunk, Forces::reverse_hook, Forces::reverse_places;
-    using Forces::reverse_uniforms, Forces::run_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;
+    using Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;
 
     const Schedule& schedule_;
     const Trajectory<T>& bar_;

@@ -39,6 +39,11 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
             }
         });
         lambda_rows_.assign(static_cast<std::size_t>(lanes) * 3 * model.geometry_.row_count(), 0.0);
+        int first = 0;
+        for (const int steps : schedule.steps) {
+            first_step_.push_back(first);
+            first += steps;
+        }
     }
 
     /// Substep `n` of the whole run, in output interval `frame`.
@@ -50,7 +55,9 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         place_forces(time);
         hook_forces(time, dt);
         known_forces(frame);
+        observe(n, frame, dt);
         update_nodes(time, dt);
+        pull(dt);
         hold(n, dt);
         const T h = static_cast<T>(dt);
         for (std::size_t i = 0; i < u_.size(); ++i) {
@@ -244,6 +251,75 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         return r;
     }
 
+    /// Where a substep stands in the targets of its output interval.
+    TargetBasis target_basis(int n, int frame, double dt) const {
+        const std::size_t f = static_cast<std::size_t>(frame);
+        return {n - first_step_[f], schedule_.steps[f], dt};
+    }
+
+    /// What the observer's channels ask for at the start of a substep [m/s^2].
+    void observe(int n, int frame, double dt) {
+        if (!inputs_.observer) {
+            return;
+        }
+        const Observer& o = *inputs_.observer;
+        const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
+        const TargetBasis basis = target_basis(n, frame, dt);
+        wanted_.assign(static_cast<std::size_t>(lanes) * 3 * count, T{});
+        for (int l = 0; l < lanes; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            const bool aimed = fields && !fields->target.empty();
+            for (std::size_t i = 0; i < count; ++i) {
+                const T share = static_cast<T>(o.share[from + i]);
+                if (share == T{}) {
+                    continue;
+                }
+                for (std::size_t c = 0; c < 3; ++c) {
+                    T place{}, rate{};
+                    for (std::size_t k = 0; aimed && k < 4; ++k) {
+                        const T coefficient = fields->target[((from + i) * 4 + k) * 3 + c];
+                        place += static_cast<T>(basis.value[k]) * coefficient;
+                        rate += static_cast<T>(basis.rate[k]) * coefficient;
+                    }
+                    for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
+                        const std::size_t at_row = static_cast<std::size_t>(r);
+                        const std::size_t node = at(l, c, static_cast<std::size_t>(o.row_carrier[at_row]));
+                        const T weight = static_cast<T>(o.row_weight[at_row]);
+                        place -= weight * u_[node];
+                        rate -= weight * v_[node];
+                    }
+                    wanted_[(static_cast<std::size_t>(l) * 3 + c) * count + i] =
+                        share * (static_cast<T>(o.stiffness) * place + static_cast<T>(o.damping) * rate);
+                }
+            }
+        }
+    }
+
+    /// v* <- v* + dt G (what the channels ask for).
+    void pull(double dt) {
+        if (!inputs_.observer) {
+            return;
+        }
+        const Observer& o = *inputs_.observer;
+        const std::size_t count = o.channel_count();
+        const T h = static_cast<T>(dt);
+        for (std::size_t n = 0; n < model_.node_count(); ++n) {
+            if (inverse_mass_[n] == T{}) {
+                continue;
+            }
+            for (std::int32_t r = o.reach_begin[n]; r < o.reach_begin[n + 1]; ++r) {
+                const std::size_t at_row = static_cast<std::size_t>(r);
+                const T weight = h * static_cast<T>(o.reach_weight[at_row]);
+                const T* from = &wanted_[static_cast<std::size_t>(o.reach_channel[at_row])];
+                for (int l = 0; l < lanes; ++l) {
+                    for (std::size_t c = 0; c < 3; ++c) {
+                        v_[at(l, c, n)] += weight * from[(static_cast<std::size_t>(l) * 3 + c) * count];
+                    }
+                }
+            }
+        }
+    }
+
     void known_forces(int frame) {
         const std::size_t nodes = model_.node_count();
         for (int l = 0; l < lanes; ++l) {
@@ -344,6 +420,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
 
     const Schedule& schedule_;
     Team* team_;
+    std::vector<int> first_step_;             // of every output interval
+    std::vector<T> wanted_;                   // by the observer: lane, component, channel [m/s^2]
     std::vector<T> f_, mass_, inverse_mass_;  // lane, component, node
     Vec3<U> gravity_;
     U compliance_{};
