@@ -131,7 +131,8 @@ class Problem:
         """
         keys = tuple(p.key for p in belief.free) if jacobian else ()
         predictions = {
-            name: self.predictors[name].predict(belief, last=last, keys=keys, substep=self.substep, feedback=self.feedback(name)
+            name: self.predictors[name].predict(
+                belief, last=last, keys=keys, substep=self.substep, feedback=self.feedback(name)
             )
             for name, (_, last) in self.ranges.items()
         }

@@ -5,9 +5,10 @@ Every carrier (node or particle) n gets the acceleration
     sum_i G_ni [ omega^2 e_i + 2 zeta omega de_i/dt ],   e_i = y_i(t) - h_i(u(t)),
 
 y_i the measured place of marker i between frames (cubic spline), h_i the marker as the simulation has it, G a
-partition of unity over the markers within reach. What the model lacks then shows at once and does not pile up.
-Sources: Luenberger, "Observing the state of a linear system", 1964; Hoke & Anthes, "The initialization of numerical
-models by a dynamic-initialization technique", 1976; prediction errors after Ljung, "System identification", ch. 7.
+partition of unity over the markers within reach. What the model lacks then shows at once and does not pile
+up. Sources: Luenberger, "Observing the state of a linear system", 1964; Hoke & Anthes, "The initialization of
+numerical models by a dynamic-initialization technique", 1976; prediction errors after Ljung, "System
+identification", ch. 7.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ STEP = 1e-3
 class Feedback:
     """What pulls one sequence's simulation.
 
-    gain: 0 (none) to 1 (a memory of 2 / fps), it scales the acceleration; position: (T, M, 3) measured [m], NaN
-    where it is not; rest: (M, 3) markers at rest [m]; free: (M,) markers that the material carries and that were
-    seen; rows, reach: sparse (channels, carriers) and (carriers, channels).
+    gain: 0 (none) to 1 (a memory of 2 / fps), it scales the acceleration; position: (T, M, 3) measured [m],
+    NaN where it is not; rest: (M, 3) markers at rest [m]; free: (M,) markers that the material carries and
+    that were seen; rows, reach: sparse (channels, carriers) and (carriers, channels).
     """
 
     recording: Recording
@@ -121,8 +122,8 @@ class Feedback:
         return (seen[np.clip(after - 1, 0, last)] & seen[after]).astype(float)
 
     def target(self, belief: Belief, timeline: Timeline) -> np.ndarray:
-        """(F, channels, 4, 3) where the markers are wanted, as displacements [m]: cubic polynomials in the share
-        of each interval; faults of the measurement that the belief has are taken off."""
+        """(F, channels, 4, 3) where the markers are wanted, as displacements [m]: cubic polynomials in the
+        share of each interval; faults of the measurement that the belief has are taken off."""
         position = unmeasured(belief, np.arange(len(self.position)) / self.recording.fps, self.position)
         late = timeline.clock[0] - timeline.frames[0] / self.recording.fps if len(timeline.clock) else 0.0
         clock = np.arange(len(position)) / self.recording.fps + late

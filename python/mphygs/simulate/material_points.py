@@ -15,8 +15,8 @@ from mphygs.simulate import core_runs
 from mphygs.simulate.body import LANES, Attachment, Body
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
-from mphygs.simulate.particle_body import ParticleBody
 from mphygs.simulate.observer import Observer
+from mphygs.simulate.particle_body import ParticleBody
 from mphygs.simulate.transfer import Start, Transfer
 
 # Particles that carry one marker together: about those within 0.85 of a spacing.
@@ -136,7 +136,12 @@ class MaterialPoints(Transfer):
         return change | {"deformation0": (start.gradient + np.eye(3)) @ change["deformation0"]}
 
     def simulate(
-        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None,
+        self,
+        model: object,
+        fields: Arrays,
+        schedule: dict,
+        progress: Progress,
+        hook: object | None,
         observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
         return self._displaced(core_runs.simulate(model, fields, schedule, progress, hook, observer))

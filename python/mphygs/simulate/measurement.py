@@ -23,8 +23,8 @@ def measured(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Faults of the measurement, applied to what the simulation says.
 
-    A late clock has its part already: the simulation shows the frames when they were taken. Under feedback the
-    columns of faults hold already what they make of the motion, by moving its targets. times: (T,) that
+    A late clock has its part already: the simulation shows the frames when they were taken. Under feedback
+    the columns of faults hold already what they make of the motion, by moving its targets. times: (T,) that
     the measurement states [s]; position [m], velocity [m/s]: (T, M, 3); jacobian: (T, M, 3, K) by the wanted
     parameters, whose columns of faults are filled here.
     """
@@ -58,7 +58,8 @@ def measured(
 
 
 def unmeasured(belief: Belief, times: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Where the markers truly were, (T, M, 3) [m]: what was measured, less the belief's faults but for the clock."""
+    """Where the markers truly were, (T, M, 3) [m]: what was measured, less the belief's faults but for the
+    clock."""
     if "length_scale" in belief.effects:
         position = position / (1.0 + belief["length_scale.scale"].value)
     shift, turning = _rates(belief)

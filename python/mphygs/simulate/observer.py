@@ -9,13 +9,13 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """Every carrier n gets sum_i G_ni share_i [stiffness e_i + damping de_i/dt], e_i = y_i - sum_k w_ik u_k; the
-    targets y are a field, `target`, of the run.
+    """Every carrier n gets sum_i G_ni share_i [stiffness e_i + damping de_i/dt], e_i = y_i - sum_k w_ik u_k;
+    the targets y are a field, `target`, of the run.
 
     row_begin: (M + 1,), row_carrier, row_weight: the carriers of each of M channels and their weights w [-];
     reach_begin: (N + 1,), reach_channel, reach_weight: the channels that pull each of N carriers, and G [-];
-    stiffness: omega^2 [1/s^2]; damping: 2 zeta omega [1/s]; share: (F, M) of every output interval, 0 in gaps.
-    Source: Luenberger, "Observing the state of a linear system", 1964.
+    stiffness: omega^2 [1/s^2]; damping: 2 zeta omega [1/s]; share: (F, M) of every output interval, 0 in
+    gaps. Source: Luenberger, "Observing the state of a linear system", 1964.
     """
 
     row_begin: np.ndarray

@@ -144,9 +144,7 @@ class Predictor:
         key = f"{self.recording.name}.release_shift"
         return belief[key].value if key in belief else 0.0
 
-    def timeline(
-        self, belief: Belief, last: int, substep: float, start: Start | None = None
-    ) -> Timeline:
+    def timeline(self, belief: Belief, last: int, substep: float, start: Start | None = None) -> Timeline:
         """Frames 0..last-1, or from the start's on, and the substeps between them."""
         return timeline_of(
             self.recording,
@@ -260,8 +258,8 @@ class Predictor:
 
         keys: parameters of the belief to differentiate by; candidates: parameters of other beliefs, each
         this one plus an effect at its null, to differentiate by as well (they share the same motion);
-        start: a state in mid-motion, whose frame is then the first; feedback: what of the measurement pulls the
-        motion, None for a free run.
+        start: a state in mid-motion, whose frame is then the first; feedback: what of the measurement pulls
+        the motion, None for a free run.
         Raises SimulationError where the run is unstable, ValueError for an effect that the transfer cannot
         have, Halted where a twin is told to.
         """
@@ -409,7 +407,14 @@ class Predictor:
             fields = batch.fields | imposed
             hook = self._hook(belief, fields, [owned[i] for i in batch.members], batch.directions)
             return self.transfer.tangent(
-                model, fields, batch.directions, timeline.schedule, progress, hook, batch.apart, observer=observer
+                model,
+                fields,
+                batch.directions,
+                timeline.schedule,
+                progress,
+                hook,
+                batch.apart,
+                observer=observer,
             )
 
         if len(batches) == 1:

@@ -121,7 +121,12 @@ class TotalLagrangian(Transfer):
         return change
 
     def simulate(
-        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None,
+        self,
+        model: object,
+        fields: Arrays,
+        schedule: dict,
+        progress: Progress,
+        hook: object | None,
         observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
         return core_runs.simulate(model, fields, schedule, progress, hook, observer)

@@ -117,7 +117,12 @@ class Transfer(ABC):
 
     @abstractmethod
     def simulate(
-        self, model: object, fields: Arrays, schedule: dict, progress: Progress, hook: object | None,
+        self,
+        model: object,
+        fields: Arrays,
+        schedule: dict,
+        progress: Progress,
+        hook: object | None,
         observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
         """Displacement [m] and velocity [m/s] of the carriers, (S, N, 3), and what else the transfer has."""
