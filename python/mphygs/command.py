@@ -113,6 +113,26 @@ def plain(value: object) -> object:
     return str(value)
 
 
+# Options that may stand without their value, and what they mean then.
+_VALUES = {"--feedback": "1"}
+
+
+def _with_values(argv: Sequence[str]) -> list[str]:
+    """The arguments, an option that may stand alone followed by its value."""
+    words = list(argv)
+    for k in reversed(range(len(words))):
+        alone = k + 1 == len(words) or not re.fullmatch(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?", words[k + 1])
+        if words[k] in _VALUES and alone:
+            words.insert(k + 1, _VALUES[words[k]])
+    return words
+
+
+def check_gain(gain: float | None) -> None:
+    """Raises OptionError for a gain of the feedback that is none."""
+    if gain is not None and not 0.0 < gain <= 1.0:
+        raise OptionError(f"--feedback: got {gain:g}; expected a gain above 0, at most 1")
+
+
 def _parse(options_type: type[OptionsType], program: str, argv: Sequence[str] | None) -> OptionsType | int:
     """The options, or the exit code where there are none: after --help, or for a line that cannot be read."""
     heard = io.StringIO()
@@ -121,7 +141,7 @@ def _parse(options_type: type[OptionsType], program: str, argv: Sequence[str] | 
             return tyro.cli(
                 options_type,
                 prog=program,
-                args=None if argv is None else list(argv),
+                args=_with_values(sys.argv[1:] if argv is None else argv),
                 config=(tyro.conf.FlagCreatePairsOff,),
             )
     except SystemExit as stop:

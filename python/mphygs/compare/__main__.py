@@ -13,15 +13,15 @@ from typing import Annotated
 import tyro
 
 from mphygs.claim import PICTURES
-from mphygs.command import Answer, CommonOptions, Console, names, plain, run
+from mphygs.command import Answer, CommonOptions, Console, check_gain, names, plain, run
 from mphygs.compare.assess import Assessment, Compared, in_words
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.compare.pictures import save_figure, sequence_figure
 from mphygs.compare.roughness import doubted_sigma
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.of_run import chosen_names, errors_of, experiment_of, pictured_of
+from mphygs.fit.of_run import chosen_names, errors_of, experiment_of, feedback_document, pictured_of
 from mphygs.fit.run import load_run
-from mphygs.fit.tables import errors_text, parameters_of, table
+from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, table
 
 PROGRAM = "mphygs compare"
 DOCUMENT = "comparison.json"
@@ -39,6 +39,10 @@ class CompareOptions(CommonOptions):
     """Another capture of the same object; default: the one that was fitted."""
     sequences: Annotated[str | None, tyro.conf.arg(metavar="A,B")] = None
     """Sequences to compare; default: all with frames to fit or to predict."""
+    feedback: Annotated[float | None, tyro.conf.arg(metavar="[GAIN]")] = None
+    """Also the error of the model under feedback from the measurement, which keeps it beside it: what is
+    missing shows where it acts and does not pile up. Gain from 0 to 1, without a number 1: a memory of two
+    frames."""
     out: Path | None = None
     """Folder for the pictures; default: RUN/pictures."""
     workers: int | None = None
@@ -52,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def compare(options: CompareOptions, console: Console) -> Answer:
     """Predict, hold against the measurement, draw; the finding is kept in the run folder."""
+    check_gain(options.feedback)
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
@@ -75,6 +80,10 @@ def compare(options: CompareOptions, console: Console) -> Answer:
         document["sequences"] = joined(document["sequences"], drawn)
         document["films"] = [str(folder / f"{name}.mp4") for name in drawn]
     document["pictures"] = [str(path) for path in pictures]
+    if options.feedback is not None:
+        document["feedback"] = feedback_document(
+            experiment, belief, state.settings.spacing, options.feedback, names=wanted
+        )
     document["warnings"] = doubted_sigma(compared)
     if options.capture is None and options.sequences is None:
         (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
@@ -118,6 +127,8 @@ def _text(document: Mapping[str, object]) -> str:
     lines: list[str] = [errors_text(document["sequences"]), ""]
     if document.get("films"):
         lines += [table(image_table(document["sequences"])), ""]
+    if document.get("feedback"):
+        lines += feedback_lines(document["feedback"])
     p_value = document["p_value"]
     verdict = in_words(document["adequate"], p_value)
     lines.append(f"The misfit is {verdict} (p = {p_value:.2g}, the discretisation's share allowed for).")

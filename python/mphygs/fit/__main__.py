@@ -14,12 +14,12 @@ import tyro
 
 from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
-from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
-from mphygs.fit.of_run import capture_of, errors_of, pictured_of
+from mphygs.fit.of_run import capture_of, errors_of, feedback_document, pictured_of
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
@@ -27,7 +27,7 @@ from mphygs.fit.profile import Interval, intervals
 from mphygs.fit.run import Run, digest_of, is_run, load_run
 from mphygs.fit.schedule import default_spacing
 from mphygs.fit.start import starting_belief
-from mphygs.fit.tables import errors_text, parameters_of, parameters_text, table
+from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.model.registry import effects
 from mphygs.model.user_effect import load_plugin
@@ -38,7 +38,7 @@ RUNS = Path("runs")
 # Cells of material, eight points each, that tens of gigabytes hold.
 MOST_CELLS = 2e6
 # Options that change no number: a resumed fit may have others.
-_FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals")
+_FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +78,9 @@ class FitOptions(CommonOptions):
     prestress (the internal force that carries gravity at rest)."""
     homogeneous: bool = False
     """Of a capture in pictures: one material, fitted to silhouettes alone, as a baseline."""
+    feedback: Annotated[float | None, tyro.conf.arg(metavar="[GAIN]")] = None
+    """Also the error of the fitted model under feedback from the measurement, beside the free one. Gain from
+    0 to 1, without a number 1: a memory of two frames."""
     plugin: Path | None = None
     """Python file that registers effects of your own, to be named like the others."""
     intervals: bool = False
@@ -155,7 +158,13 @@ def fitted(
     if options.intervals:
         console.say("the fit is done and kept; intervals from the likelihood:")
         found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
-    state = replace(state, answer=_answer(state, experiment, console, found))
+    answer = _answer(state, experiment, console, found)
+    if options.feedback is not None:
+        console.say("predicting under feedback")
+        answer["feedback"] = feedback_document(
+            experiment, state.belief, state.settings.spacing, options.feedback
+        )
+    state = replace(state, answer=answer)
     state.save()
     return state, capture
 
@@ -203,6 +212,8 @@ def _boundary_lines(capture: Capture) -> list[str]:
 def _text(state: Run, capture: Capture, embedded: bool) -> str:
     answer = state.answer
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
+    if answer.get("feedback"):
+        lines += feedback_lines(answer["feedback"])
     if state.stages is not None:
         lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
         lines[1:1] = _boundary_lines(capture)
@@ -224,6 +235,9 @@ def _text(state: Run, capture: Capture, embedded: bool) -> str:
 
 def check_options(options: FitOptions) -> None:
     """Options that can be judged without the capture."""
+    check_gain(options.feedback)
+    if options.feedback is not None and options.transfer != "total-lagrangian":
+        raise OptionError(f"--feedback: not with --transfer {options.transfer}; expected total-lagrangian")
     known = effects()
     for name in names(options.effects):
         if name not in known:

@@ -136,3 +136,17 @@ def errors_of(experiment: Experiment, compared: Mapping[str, Compared]) -> dict[
         markers = experiment.capture.sequence(name).markers
         sigmas[name] = markers.sigma if markers is not None and markers.sigma else item.observation.sigma
     return sequence_errors(compared, sigmas)
+
+
+def feedback_document(
+    experiment: Experiment,
+    belief: Belief,
+    spacing: float,
+    gain: float,
+    *,
+    names: Sequence[str] | None = None,
+) -> dict[str, object]:
+    """The errors of a model under feedback of a gain, as JSON. Raises ValueError where the transfer has
+    none."""
+    compared = experiment.compare(belief, spacing, names=names, jacobian=False, gain=gain)
+    return {"gain": gain, "sequences": errors_of(experiment, compared)}

@@ -74,6 +74,12 @@ def parameters_text(parameters: Mapping[str, Mapping[str, object]]) -> str:
     return table(rows)
 
 
+def feedback_lines(feedback: Mapping[str, object]) -> list[str]:
+    """The errors of a model under feedback, as text."""
+    gain, sequences = feedback["gain"], feedback["sequences"]
+    return [f"under feedback from the measurement, gain {gain:g}:", errors_text(sequences), ""]
+
+
 def errors_text(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]]) -> str:
     """Errors by sequence and range of frames, in millimetres and in standard deviations of the noise."""
     rows = [["sequence", "frames", "rms mm", "max mm", "rms / sigma", "points"]]

@@ -55,6 +55,10 @@ class Feedback:
     rows: csr_matrix = field(repr=False)
     reach: csr_matrix = field(repr=False)
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.gain <= 1.0:
+            raise ValueError(f"feedback {self.gain:g}: expected a gain from 0 (none) to 1")
+
     @classmethod
     def of(
         cls,
@@ -70,8 +74,6 @@ class Feedback:
 
         Raises ValueError where the gain is not between 0 and 1.
         """
-        if not 0.0 <= gain <= 1.0:
-            raise ValueError(f"feedback {gain:g}: expected a gain from 0 (none) to 1")
         a = carriers.attachment
         rest = a.anchor + a.offset
         seen = np.isfinite(position).all(-1).sum(0) >= 4
