@@ -245,7 +245,7 @@ def table_of(round_: Round | None, chosen: str | None = None, ties: Sequence[str
         return ()
     done = {t.effect: t for t in round_.contenders}
     scale = scale_of(round_.contenders)
-    rows = []
+    before, rows = round_.beside.solution.evaluation.chi_square, []
     for s in round_.scan.by_effect():
         t = done.get(s.effect)
         refitted = t is not None and t.predictive is not None
@@ -263,6 +263,7 @@ def table_of(round_: Round | None, chosen: str | None = None, ties: Sequence[str
                 "effect": s.effect,
                 "way": s.label,
                 "predicted_drop": s.drop,
+                "drop": before - t.solution.evaluation.chi_square if refitted else None,
                 "gain": gain,
                 "gain_se": se if se is not None and np.isfinite(se) else None,
                 "numbers": s.numbers,
