@@ -196,7 +196,7 @@ def discover(
     say = report or (lambda _text: None)
     grids = Grids(spacing, spacing if fine is None else min(fine, spacing))
     steps, rankings = list(start), []
-    round_: Round | None = None
+    table: tuple[dict, ...] = ()
 
     def done(step: Step) -> None:
         steps.append(step)
@@ -253,9 +253,11 @@ def discover(
         step = decided(experiment, round_, grids, criteria, say)
         if step is None:
             say("nothing that is known pays for its numbers")
+            table = table_of(round_)
             break
         if known_budget(steps[-1]) and excess(step.assessment) > excess(steps[-1].assessment):
             say(f"{', '.join(step.added)}: leaves more than before")
+            table = table_of(round_)
             break
         done(step)
         now = begun(steps[-1])
@@ -263,7 +265,7 @@ def discover(
         steps[-1] = without_superfluous(experiment, steps[-1], criteria, say)
     if steps[-1].explained and steps[-1].added:
         steps[-1] = concluded(experiment, steps[-1])
-    return _conclude(steps, rankings, table_of(round_), criteria)
+    return _conclude(steps, rankings, table)
 
 
 def without_superfluous(
@@ -313,9 +315,7 @@ def concluded(experiment: Experiment, step: Step) -> Step:
     return after if after.explained else step
 
 
-def _conclude(
-    steps: list[Step], rankings: list[Ranking], table: tuple[dict, ...], criteria: Criteria
-) -> Discovery:
+def _conclude(steps: list[Step], rankings: list[Ranking], table: tuple[dict, ...]) -> Discovery:
     """What the steps come to, with what is to be said of the last one."""
     last = steps[-1]
     added: list[str] = []
@@ -341,5 +341,5 @@ def _conclude(
             "times too large, and hide what is missing"
         )
     said += doubted_sigma(last.compared)
-    rows = table or (last.table if last.table else ())
+    rows = table or last.table
     return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), tuple(said), rows)
