@@ -104,7 +104,8 @@ double norm(const std::vector<double>& a) { return distance(a, std::vector<doubl
 
 TEST(Observer, TangentsFollowDifferencesAloneAndInManyLanes) {
     const Scene s = scene();
-    const F all = direction_of(s.bar.fields, 3);
+    F all = direction_of(s.bar.fields, 3);
+    all.effect.clear();  // numbers of all sizes, yields of a million pascals among them
     F aimed;
     aimed.target = all.target;
     const auto run = [&](const F& d, double by) {

@@ -15,11 +15,16 @@ from mphygs.extend.contend import FAILURES, Contender, Predictive, contenders, g
 from mphygs.extend.release import released
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.schedule import driven
 from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 
 Say = Callable[[str], None]
+# Of the cost, what a last step under feedback may promise: far from the data a hundred times as much.
+ACCURACY = 1e-4
+# No less feedback is held against more than this.
+LEAST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +72,29 @@ def assimilated(
     Raises SimulationError where it cannot be simulated under any feedback.
     """
     found: Beside | None = None
-    for gain in gains_of(experiment):
+    gains = gains_of(experiment)
+    for number, gain in enumerate(gains):
         problem = experiment.problem(spacing).under(gain)
         try:
             solution = minimise(
                 problem,
                 belief if found is None else found.belief,
                 iterations=8 if found is None else 3,
-                relative_tolerance=1e-3,
+                relative_tolerance=ACCURACY,
                 dwell=None if found is None else (1, criteria.near),
             )
             far = solution.evaluation.misfit > criteria.near
             if found is not None and far:
                 break
+            if found is None and far and gain > LEAST and driven(problem, solution, gains[number + 1]):
+                say(f"feedback of gain {gain:g} drives the model: less of it")
+                continue
             compared = experiment.compare(solution.belief, spacing, jacobian=False, gain=gain)
         except FAILURES:
-            if found is None:
+            if found is None and gain == gains[-1]:
                 raise
+            if found is None:
+                continue
             break
         found = Beside(solution, predictive(compared, criteria), gain)
         say("under feedback {:g}: {:.3f} sigma fitted, {:.3f} unseen".format(gain, *found.predictive.misfit))

@@ -30,8 +30,10 @@ from mphygs.simulate.timeline import Timeline
 # Critically damped, with a memory of 2 / fps: faster, and the noise of single frames is followed; slower, and
 # what is missing piles up.
 DAMPING_RATIO, PER_FRAME = 1.0, 0.5
-# Of the markers' usual distance: the width of what one pulls, and how far it reaches at most.
-WIDTH, REACH = 1.0, 3.0
+# Of the markers' usual distance: the width of what one pulls, and how far it reaches at most, in widths. As
+# wide as that distance, a pull takes the shapes that the markers just tell apart for rigid shifts, and drives
+# them: a beam with six markers beside it swung up.
+WIDTH, REACH = 0.5, 3.0
 # Weight of nothing in the partition of unity: half of the pull is left two widths away from the last marker.
 NOTHING = float(np.exp(-2.0))
 # Of a fault's usual size, the step of differences by it: what faults make of the targets is nearly linear.
