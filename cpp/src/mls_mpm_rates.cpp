@@ -7,14 +7,14 @@ namespace mphygs {
 
 template <class T>
 std::array<double, 2> MlsMpm<T>::largest_rates(const Fields<T>& fields, int iterations) const {
-    // At rest, no gravity, no hold: both only lower the frequencies. An observer's gain is far below the elastic ones.
+    // At rest, no gravity, no hold: both only lower the frequencies.
     MlsGeometry geometry = geometry_;
     geometry.hold.clear();
     geometry.hold_count = 0;
     const MlsMpm<T> model(std::move(geometry), settings_);
     Fields<T> value = fields;
     std::fill(value.gravity.begin(), value.gravity.end(), T{});
-    for (std::vector<T>* absent : {&value.displacement0, &value.velocity0, &value.node_force, &value.pose, &value.target}) {
+    for (std::vector<T>* absent : {&value.displacement0, &value.velocity0, &value.node_force, &value.pose}) {
         absent->clear();
     }
     Schedule schedule;

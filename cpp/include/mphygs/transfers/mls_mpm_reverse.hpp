@@ -120,9 +120,6 @@ class MlsMpmReverse : public MlsStepReverse<T> {
         // The real scatter, with C_0 from the last of them.
         c_bar_.assign(9 * size, T{});
         run_.forces_.refresh(0);
-        if (run_.observer_.active()) {
-            run_.observer_.begin(record.order, record.moving, run_.start_velocity_, *run_.team_);
-        }
         clear_sums();
         start_tiles(record, [&](std::size_t c, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
             if (!grid.empty()) {
@@ -137,10 +134,6 @@ class MlsMpmReverse : public MlsStepReverse<T> {
             reverse_given(c, t, *record.order, points, no_history.data(), bars);
         });
         add_sums(0);
-        if (run_.observer_.active()) {
-            observer_.reverse_ask(0);
-            observer_.reverse_begin(bars_, v_bar_);
-        }
         for (int round = run_.start_rounds() - 1; round >= 0; --round) {
             // C of the next round was gathered from this grid ...
             const MlsState<T> here{record.order, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
@@ -275,13 +268,12 @@ class MlsMpmReverse : public MlsStepReverse<T> {
         }
         out.node_force = forces_.node_force_bar;
         out.pose = narrow(pose_bar_);
-        out.target = narrow(observer_.target_bar);
         return out;
     }
 
     using Steps::add_seeds, Steps::add_slope, Steps::add_sums, Steps::bar_, Steps::bar_grid_, Steps::bar_order_, Steps::bars_;
     using Steps::clear_sums, Steps::fields_, Steps::flush, Steps::forces_, Steps::gravity_bar_, Steps::grid_bar, Steps::grids_;
-    using Steps::inside, Steps::lambda_, Steps::mass_, Steps::model_, Steps::mu_, Steps::observer_, Steps::own_mass_, Steps::parameter_bar_;
+    using Steps::inside, Steps::lambda_, Steps::mass_, Steps::model_, Steps::mu_, Steps::own_mass_, Steps::parameter_bar_;
     using Steps::particles_, Steps::pose_bar_, Steps::reverse_given, Steps::reverse_step, Steps::run_, Steps::table_;
     using Steps::volume_;
 

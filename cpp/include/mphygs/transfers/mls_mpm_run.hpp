@@ -9,7 +9,6 @@
 
 #include "mphygs/team.hpp"
 #include "mphygs/transfers/mls_mpm_grids.hpp"
-#include "mphygs/transfers/mls_mpm_observer.hpp"
 #include "mphygs/transfers/mls_mpm_particles.hpp"
 #include "mphygs/transfers/mls_mpm_plain.hpp"
 
@@ -24,8 +23,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
 
     /// team: whose threads share the work of a substep.
     MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule, Team& team)
-        : Particles(model, inputs, schedule), team_(&team), forces_(model, inputs_, table_), observer_(model, inputs_, table_, schedule),
-          grids_(model.chunk_count_, lanes) {
+        : Particles(model, inputs, schedule), team_(&team), forces_(model, inputs_, table_), grids_(model.chunk_count_, lanes) {
         start_velocity_ = velocity_;
     }
 
@@ -53,9 +51,6 @@ class MlsMpmRun : public MlsParticles<T, K> {
     void start_round(const Box& box, bool improve, bool real) {
         if (real) {
             forces_.refresh(0);
-            if (observer_.active()) {
-                observer_.begin(state_.order, state_.moving, start_velocity_, *team_);
-            }
         }
         grids_.prepare(box, state_.ranges);
         team_->each(model_.chunk_count_, [&](int c) { start_chunk(static_cast<std::size_t>(c), box, improve, real); });
@@ -92,9 +87,6 @@ class MlsMpmRun : public MlsParticles<T, K> {
         const Box next = reach();
         if (forces) {
             forces_.refresh(n + 1);
-            if (observer_.active()) {
-                observer_.advance(n, state_.order, *from_, state_.grid, state_.box, state_.ranges, h, *team_);
-            }
             grids_.prepare(next, state_.ranges);
         }
         std::vector<CellRange> ranges(state_.ranges.size());
@@ -232,9 +224,6 @@ class MlsMpmRun : public MlsParticles<T, K> {
                     give_velocity(tile, k, p, points[k]);
                 }
             }
-            if (real && observer_.active()) {
-                observer_.give(tile, *state_.order, t);
-            }
             scatter_tile<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
         }
     }
@@ -294,9 +283,6 @@ class MlsMpmRun : public MlsParticles<T, K> {
                                 give_held(tile, p - t, hold, id, a, state_.moving[slot_of(a, moving_numbers, p)]);
                             }
                         });
-                        if (observer_.active()) {
-                            observer_.give(tile, *state_.order, t);
-                        }
                         scatter_rows<T>(tile, out, model_.axis_, next);
                     }
                     continue;
@@ -337,9 +323,6 @@ class MlsMpmRun : public MlsParticles<T, K> {
                     give(tile, k, p, point, state_.history.data());
                 }
             }
-            if (forces && observer_.active()) {
-                observer_.give(tile, *state_.order, t);
-            }
             if (forces) {
                 scatter_tile<T, K>(tile, out, grids_.lane_stride(c), model_.axis_, next);
             }
@@ -355,7 +338,6 @@ class MlsMpmRun : public MlsParticles<T, K> {
 
     Team* team_;
     MlsForces<T, K> forces_;
-    MlsObserver<T, K> observer_;
     const Buffer<T>* from_ = nullptr;               // what moves, before the pass
     std::vector<T> start_velocity_, start_affine_;  // (lanes, 3 or 9, size)
     MlsGrids<T> grids_;

@@ -6,7 +6,6 @@
 #pragma once
 
 #include "mphygs/transfers/mls_mpm_forces_reverse.hpp"
-#include "mphygs/transfers/mls_mpm_observer_reverse.hpp"
 #include "mphygs/transfers/mls_mpm_plain_reverse.hpp"
 #include "mphygs/transfers/mls_mpm_run.hpp"
 
@@ -18,9 +17,9 @@ class MlsStepReverse {
     using Run = MlsMpmRun<T, 0>;
     using P = Pack<T>;
 
-    MlsStepReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule, const Observer* observer, Team& team)
-        : model_(model), fields_(fields), run_(model, inputs_of(fields, observer), schedule, team), table_(run_.table()),
-          forces_(run_.forces_, fields), observer_(model, run_.observer_, fields), particles_(model.padded_), sums_(static_cast<std::size_t>(model.chunk_count_)),
+    MlsStepReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule, Team& team)
+        : model_(model), fields_(fields), run_(model, inputs_of(fields), schedule, team), table_(run_.table()),
+          forces_(run_.forces_, fields), particles_(model.padded_), sums_(static_cast<std::size_t>(model.chunk_count_)),
           grids_(model.chunk_count_, 1) {
         const std::size_t n = model.padded_, count = model.particle_count();
         bars_.assign(moving_numbers * n, T{});
@@ -33,10 +32,9 @@ class MlsStepReverse {
     }
 
   protected:
-    static Inputs<T, 0> inputs_of(const Fields<T>& fields, const Observer* observer) {
+    static Inputs<T, 0> inputs_of(const Fields<T>& fields) {
         Inputs<T, 0> inputs;
         inputs.primal = &fields;
-        inputs.observer = observer;
         return inputs;
     }
 
@@ -106,24 +104,15 @@ class MlsStepReverse {
         }
         follow(record.order);
         const bool forces = n + 1 < table_.count();
-        const bool pulled = forces && run_.observer_.active();
-        const T h = static_cast<T>(table_.dt[static_cast<std::size_t>(n)]);
         if (forces) {
             run_.forces_.refresh(n + 1);
             clear_sums();
-        }
-        if (pulled) {
-            run_.observer_.advance(n, record.order, record.moving, record.grid, record.box, record.ranges, h, *run_.team_);
         }
         run_.state_.history = record.history;  // evaluated again, to be overwritten
         grids_.prepare(record.box, record.ranges);
         run_.team_->each(model_.chunk_count_, [&](int c) { reverse_chunk(static_cast<std::size_t>(c), n, record, forces); });
         if (forces) {
             add_sums(n + 1);
-        }
-        if (pulled) {
-            observer_.reverse_ask(n + 1);
-            observer_.reverse_advance(record, h, *run_.team_, [&](std::size_t c) { return grids_.private_grid(c); }, bars_);
         }
         grid_bar(record);
     }
@@ -189,14 +178,8 @@ class MlsStepReverse {
             tile.set_n(k, broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * affine);
             tile.set_mass(k, run_.forces_.fixed(order, fixed_mass, p));
         }
-        if (run_.observer_.active()) {
-            run_.observer_.give(tile, order, t);
-        }
         TileSlope<T> slope;
         reverse_scatter_rows<T>(tile, bar_grid_.data(), model_.axis_, bar_box_, given, slope);
-        if (run_.observer_.active()) {
-            observer_.reverse_given(c, order, t, tile, given, particles_);
-        }
         for (int k = 0; k < tile_packs; ++k) {
             GivenBars<T> g;
             g.momentum = given.get_q(k);
@@ -231,13 +214,7 @@ class MlsStepReverse {
                         run_.give_held(plain.given, p - t, hold, id, a, moved(p, a));
                     }
                 });
-                if (run_.observer_.active()) {
-                    run_.observer_.give(plain.given, *record.order, t);
-                }
                 reverse_scatter_rows<T>(plain.given, bar_grid_.data(), model_.axis_, bar_box_, plain.bars, plain.slope);
-                if (run_.observer_.active()) {
-                    observer_.reverse_given(c, *record.order, t, plain.given, plain.bars, particles_);
-                }
                 plain_bars<T>(plain, record.moving.data(), bars_.data(), particles_.fixed.data(), t, pass, *record.order, model_.axis_,
                               gravity_bar);
                 run_.forces_.each_held_of_tile(*record.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
@@ -335,7 +312,6 @@ class MlsStepReverse {
     Run run_;
     const StepTable& table_;
     MlsForcesReverse<T> forces_;
-    MlsObserverReverse<T> observer_;
     MlsParticleBars<T> particles_;
     std::vector<MlsChunkSums> sums_;
     MlsGrids<T> grids_;
