@@ -2,14 +2,14 @@
 
 One call runs several temporal windows side by side. What all windows share (materials, effects) is given
 once and its gradient is the sum over the windows; what a window has of its own (initial state, poses, known
-forces) is given with it.
+forces, feedback and its targets) is given with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -17,11 +17,12 @@ from torch import Tensor
 
 from mphygs.simulate import core_runs
 from mphygs.simulate.body import Body
+from mphygs.simulate.observer import Observer
 from mphygs.simulate.user_forces import UserForces
 
 FIELD_NAMES = (
     "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
-    "gravity", "displacement0", "velocity0", "node_force", "pose",
+    "gravity", "displacement0", "velocity0", "node_force", "pose", "target",
 )  # fmt: skip
 NO_SECOND_DERIVATIVE = (
     "a rollout has first derivatives only: expected backward() without create_graph, one forward level"
@@ -36,11 +37,14 @@ States = tuple[Tensor, ...]
 class Window:
     """One stretch of time. schedule: {"steps": (F,), "dt": (F,) [s], "start": [s]}.
 
-    fields: tensors of this window alone; they take the place of shared ones of the same name.
+    fields: tensors of this window alone; they take the place of shared ones of the same name; observer:
+    feedback towards the field `target`, (F, M, 4, 3) [m] cubic polynomials in the share of each of F
+    intervals, for each of the observer's M channels; None for a free run, which has no such field.
     """
 
     schedule: Mapping[str, object]
     fields: Mapping[str, Tensor] = field(default_factory=dict)
+    observer: Observer | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +68,7 @@ class _Plan:
     model: object
     schedules: tuple[dict, ...]
     slots: tuple[dict[str, int], ...]
+    observers: tuple[Observer | None, ...]
     workers: int
     user_names: tuple[str, ...] = ()
     user_body: Body | None = None
@@ -105,7 +110,11 @@ class _Rollout(torch.autograd.Function):
         arrays = [_array(t) for t in tensors]
         runs = plan.each(
             lambda w: core_runs.simulate(
-                plan.model, plan.fields(w, arrays), plan.schedules[w], None, plan.hook(w, arrays)
+                plan.model,
+                plan.fields(w, arrays),
+                plan.schedules[w],
+                hook=plan.hook(w, arrays),
+                observer=plan.observers[w],
             )
         )
         return tuple(torch.from_numpy(a) for run in runs for a in run)
@@ -153,7 +162,8 @@ class _Gradient(torch.autograd.Function):
             hook = plan.hook(window, arrays)
             given = [None if bar is None else _array(bar) for bar in own]
             fields, schedule = plan.fields(window, arrays), plan.schedules[window]
-            return core_runs.adjoint(plan.model, fields, schedule, given, hook), hook
+            observer = plan.observers[window]
+            return core_runs.adjoint(plan.model, fields, schedule, given, hook, observer), hook
 
         sums: list[np.ndarray | None] = [
             np.zeros_like(a) if w else None for a, w in zip(arrays, wanted, strict=True)
@@ -232,8 +242,8 @@ def _tangents(
     def work(window: int) -> list:
         fields = [plan.fields(window, direction) for direction in directions]
         hook = plan.hook(window, arrays, directions)
-        own = plan.fields(window, arrays)
-        return core_runs.tangent(plan.model, own, fields, plan.schedules[window], None, hook)[1:]
+        own, schedule, observer = plan.fields(window, arrays), plan.schedules[window], plan.observers[window]
+        return core_runs.tangent(plan.model, own, fields, schedule, hook=hook, observer=observer)[1:]
 
     size = core_runs.state_size(plan.model)
     return [np.stack([tangent[part] for tangent in run]) for run in plan.each(work) for part in range(size)]
@@ -258,8 +268,9 @@ def rollout_windows(
     backward and forward; torch.func.jacfwd carries all directions in one run. The result does not depend on
     `workers`, to the bit.
 
-    Raises ValueError for an unknown field, another precision, a wrong size or effects in Python with MLS-MPM,
-    SimulationError for an unstable run, NotImplementedError for second derivatives.
+    Raises ValueError for an unknown field, another precision, a wrong size, a target without an observer or
+    an observer without its target, effects in Python or an observer with MLS-MPM, SimulationError for an
+    unstable run, NotImplementedError for second derivatives.
     """
     if not windows:
         raise ValueError("rollout_windows: expected at least one window")
@@ -267,6 +278,8 @@ def rollout_windows(
         raise ValueError(f"workers = {workers}: expected at least 1")
     if user is not None and core_runs.is_mls(model):
         raise ValueError(core_runs.NO_HOOK)
+    if any(window.observer is not None for window in windows) and core_runs.is_mls(model):
+        raise ValueError(core_runs.NO_OBSERVER)
     dtype = torch.float32 if core_runs.number_of(model) is np.float32 else torch.float64
     tensors: list[Tensor] = []
 
@@ -287,10 +300,10 @@ def rollout_windows(
     common = indices(shared, "shared fields")
     slots = tuple(common | indices(window.fields, f"window {k}") for k, window in enumerate(windows))
     schedules = tuple(dict(window.schedule) for window in windows)
-    plan = _Plan(model, schedules, slots, workers)
+    plan = _Plan(model, schedules, slots, tuple(window.observer for window in windows), workers)
     if user is not None:
         keep(user.parameters, "the user's parameters")
-        plan = _Plan(model, schedules, slots, workers, user.names, user.body)
+        plan = replace(plan, user_names=user.names, user_body=user.body)
     out = _Rollout.apply(plan, *tensors)
     size = core_runs.state_size(model)
     return tuple(out[k : k + size] for k in range(0, len(out), size))
@@ -302,6 +315,7 @@ def rollout(
     schedule: Mapping[str, object],
     *,
     user: UserTerms | None = None,
+    observer: Observer | None = None,
 ) -> States:
     """One window; see `rollout_windows`."""
-    return rollout_windows(model, fields, [Window(schedule)], user=user)[0]
+    return rollout_windows(model, fields, [Window(schedule, observer=observer)], user=user)[0]
