@@ -92,6 +92,10 @@ F moved(const F& fields, const F& direction, double by) {
     return out;
 }
 
+std::size_t number_of(const std::string& name) {
+    return static_cast<std::size_t>(std::find(F::names.begin(), F::names.end(), name) - F::names.begin());
+}
+
 double distance(const std::vector<double>& a, const std::vector<double>& b) {
     double sum = 0;
     for (std::size_t i = 0; i < a.size(); ++i) {
@@ -128,6 +132,41 @@ TEST(Observer, TangentsFollowDifferencesAloneAndInManyLanes) {
     }
 }
 
+TEST(Observer, TangentsOfEachFieldFollowDifferences) {
+    const Scene s = scene();
+    const char* names[] = {"mu", "mass", "gravity", "displacement0", "target"};
+    std::vector<F> directions;
+    F all = direction_of(s.bar.fields, 6);
+    for (const char* name : names) {
+        F one;
+        *one.all()[number_of(name)] = *all.all()[number_of(name)];
+        directions.push_back(one);
+    }
+    const auto lanes = s.bar.model->tangent(s.bar.fields, directions, schedule, {}, nullptr, {}, &s.observer);
+    ASSERT_EQ(lanes.size(), 1 + directions.size());
+    const double h = 1e-2;
+    for (std::size_t d = 0; d < directions.size(); ++d) {
+        const auto run = [&](double by) {
+            return s.bar.model->simulate(moved(s.bar.fields, directions[d], by), schedule, {}, nullptr, &s.observer);
+        };
+        const auto ahead = run(h), behind = run(-h);
+        const auto one = s.bar.model->tangent(s.bar.fields, {directions[d]}, schedule, {}, nullptr, {}, &s.observer)[1];
+        const auto follows = [&](const std::vector<double>& a, const std::vector<double>& b, const std::vector<double>& alone,
+                                 const std::vector<double>& lane) {
+            std::vector<double> slope(a.size());
+            for (std::size_t i = 0; i < slope.size(); ++i) {
+                slope[i] = (a[i] - b[i]) / (2 * h);
+            }
+            EXPECT_GT(norm(alone), 1e-9) << names[d];
+            EXPECT_LT(distance(alone, slope), 1e-6 * norm(slope)) << names[d];
+            EXPECT_LT(distance(lane, slope), 1e-6 * norm(slope)) << names[d];
+            EXPECT_LT(distance(lane, alone), 1e-10 * norm(alone)) << names[d];
+        };
+        follows(ahead.displacement, behind.displacement, one.displacement, lanes[1 + d].displacement);
+        follows(ahead.velocity, behind.velocity, one.velocity, lanes[1 + d].velocity);
+    }
+}
+
 TEST(Observer, AdjointIsTheTransposeOfTheTangent) {
     Settings settings;
     settings.memory_budget = 1;  // checkpoints, and everything computed again
@@ -135,11 +174,17 @@ TEST(Observer, AdjointIsTheTransposeOfTheTangent) {
     test::Random random(4);
     const std::size_t size = (schedule.steps.size() + 1) * 3 * s.bar.model->node_count();
     const Trajectory<double> bar{random.numbers(size, -1, 1), random.numbers(size, -1e-3, 1e-3)};
-    F gradient = s.bar.model->adjoint(s.bar.fields, schedule, bar, {}, nullptr, nullptr, &s.observer);
+    long recomputed = 0;
+    F gradient = s.bar.model->adjoint(s.bar.fields, schedule, bar, {}, &recomputed, nullptr, &s.observer);
+    EXPECT_GT(recomputed, 0);
+    F roomy = scene().bar.model->adjoint(s.bar.fields, schedule, bar, {}, nullptr, nullptr, &s.observer);
+    for (std::size_t i = 0; i < static_cast<std::size_t>(F::count); ++i) {
+        EXPECT_EQ(*gradient.all()[i], *roomy.all()[i]) << F::names[i];
+    }
     F direction = direction_of(s.bar.fields, 8);
     for (const char* name : {"mu", "mass", "gravity", "displacement0", "velocity0", "node_force", "pose", "target", "effect"}) {
         F one;
-        const auto at = static_cast<std::size_t>(std::find(F::names.begin(), F::names.end(), std::string(name)) - F::names.begin());
+        const std::size_t at = number_of(name);
         *one.all()[at] = *direction.all()[at];
         const auto t = s.bar.model->tangent(s.bar.fields, {one}, schedule, {}, nullptr, {}, &s.observer)[1];
         double by_tangent = 0, by_adjoint = 0, scale = 0;
@@ -170,29 +215,83 @@ TEST(Observer, WithoutSharesItIsAFreeRunToTheBitWhateverTheThreads) {
     EXPECT_EQ(one.displacement, pulled.bar.model->simulate(pulled.bar.fields, schedule, {}, nullptr, &pulled.observer).displacement);
 }
 
-/// A free body whose nodes are all pulled towards a rigid shift y: e'' + 2 w e' + w^2 e = 0, e(0) = y.
-TEST(Observer, AFreeBodyFollowsItsTargetAsACriticallyDampedOscillator) {
-    const double w = 40.0, shift = 2e-3;
-    const Schedule slow{std::vector<int>(6, 50), std::vector<double>(6, 2e-4), 0};
+TEST(Observer, FromAGapOnItIsAFreeRunToTheBit) {
+    Scene s = scene();
+    std::fill(s.observer.share.begin() + channels, s.observer.share.end(), 0.0);  // pulled in the first interval alone
+    const auto pulled = s.bar.model->simulate(s.bar.fields, schedule, {}, nullptr, &s.observer);
+    const std::size_t size = 3 * s.bar.model->node_count();
+    const auto first = static_cast<std::size_t>(schedule.steps[0]);
+    const auto tail = [](const std::vector<double>& a, std::size_t from) {
+        return std::vector<double>(a.begin() + static_cast<std::ptrdiff_t>(from), a.end());
+    };
+    const auto begin = static_cast<std::ptrdiff_t>(size);
+    F rest = s.bar.fields;
+    rest.displacement0.assign(pulled.displacement.begin() + begin, pulled.displacement.begin() + 2 * begin);
+    rest.velocity0.assign(pulled.velocity.begin() + begin, pulled.velocity.begin() + 2 * begin);
+    rest.node_force = tail(rest.node_force, size);
+    ASSERT_EQ(s.bar.model->geometry().hold_count, 1);
+    rest.pose = tail(rest.pose, 12 * first);
+    rest.target.clear();
+    const Schedule later{{schedule.steps[1], schedule.steps[2]}, {schedule.dt[1], schedule.dt[2]},
+                         schedule.start + schedule.steps[0] * schedule.dt[0]};
+    const auto free = s.bar.model->simulate(rest, later);
+    EXPECT_EQ(tail(pulled.displacement, size), free.displacement);
+    EXPECT_EQ(tail(pulled.velocity, size), free.velocity);
+    // What pulled before has moved it: another run from the start is elsewhere.
+    F plain = s.bar.fields;
+    plain.target.clear();
+    EXPECT_GT(distance(pulled.displacement, s.bar.model->simulate(plain, schedule).displacement), 1e-9);
+}
+
+TEST(Observer, DerivativesDoNotDependOnTheThreadsToTheBit) {
+    const Scene s = scene();
+    const F direction = direction_of(s.bar.fields, 12);
+    test::Random random(13);
+    const std::size_t size = (schedule.steps.size() + 1) * 3 * s.bar.model->node_count();
+    const Trajectory<double> bar{random.numbers(size, -1, 1), random.numbers(size, -1e-3, 1e-3)};
+    const auto outcome = [&](int threads) {
+        s.bar.model->set_threads(threads);
+        auto out = s.bar.model->tangent(s.bar.fields, {direction, direction}, schedule, {}, nullptr, {}, &s.observer);
+        out.push_back(s.bar.model->tangent(s.bar.fields, {direction}, schedule, {}, nullptr, {}, &s.observer)[1]);
+        F gradient = s.bar.model->adjoint(s.bar.fields, schedule, bar, {}, nullptr, nullptr, &s.observer);
+        EXPECT_GT(norm(gradient.target), 0);
+        std::vector<std::vector<double>> numbers;
+        for (const auto& t : out) {
+            numbers.insert(numbers.end(), {t.displacement, t.velocity});
+        }
+        for (const auto* field : gradient.all()) {
+            numbers.push_back(*field);
+        }
+        return numbers;
+    };
+    EXPECT_EQ(outcome(1), outcome(2));
+}
+
+/// A free body whose nodes are all pulled towards a rigid shift y: e'' + 2 w e' + w^2 e = 0, e(0) = y, so
+/// e = y (1 + w t) exp(-w t). The largest difference from it, as a share of y; substeps: `finer` times as many.
+double off_the_closed_form(int finer) {
+    const double w = 40.0, shift[3] = {2e-3, -1e-3, 5e-4};
+    const std::vector<int> steps{finer * 50, finer * 80, finer * 40, finer * 50};
+    const std::vector<double> dt{2e-4 / finer, 1.5e-4 / finer, 2e-4 / finer, 1e-4 / finer};
+    const Schedule slow{steps, dt, 0};
+    const std::size_t frames = steps.size();
     test::BarOptions options;
-    test::Bar bar = test::make_bar(options, slow);
-    Geometry g = bar.model->geometry();
-    for (auto* rows : {&g.row_begin, &g.row_node, &g.row_hold}) {
-        rows->clear();
-    }
-    g.row_begin = {0};
-    g.row_weight.clear();
-    g.row_target.clear();
-    g.hold_count = 0;
-    const TotalLagrangian<double> model(g, {});
-    F fields = test::fields_at_rest<double>(options, g, slow);
-    Observer o;
+    options.held = false;
+    const TotalLagrangian<double> model(test::bar_geometry(options), {});
+    F fields = test::fields_at_rest<double>(options, model.geometry(), slow);
     const int nodes = static_cast<int>(model.node_count());
     const std::vector<double> mass = model.node_mass(fields);
-    const int seen = static_cast<int>(std::max_element(mass.begin(), mass.end()) - mass.begin());
-    o.row_begin = {0, 1};
-    o.row_carrier = {seen};
-    o.row_weight = {1.0};
+    Observer o;
+    o.row_begin = {0};
+    for (const double weight : {0.5, 0.25, 0.25}) {  // one channel: the mean of three nodes that have mass
+        int node = static_cast<int>(o.row_carrier.size()) * nodes / 3;
+        while (mass[static_cast<std::size_t>(node)] == 0) {
+            ++node;
+        }
+        o.row_carrier.push_back(node);
+        o.row_weight.push_back(weight);
+    }
+    o.row_begin.push_back(static_cast<std::int32_t>(o.row_carrier.size()));
     for (int n = 0; n <= nodes; ++n) {
         o.reach_begin.push_back(n);
     }
@@ -200,36 +299,120 @@ TEST(Observer, AFreeBodyFollowsItsTargetAsACriticallyDampedOscillator) {
     o.reach_weight.assign(static_cast<std::size_t>(nodes), 1.0);
     o.stiffness = w * w;
     o.damping = 2 * w;
-    o.share.assign(6, 1.0);
-    fields.target.assign(6 * 12, 0.0);
-    for (std::size_t f = 0; f < 6; ++f) {
-        fields.target[12 * f] = shift;
+    o.share.assign(frames, 1.0);
+    fields.target.assign(frames * 12, 0.0);
+    for (std::size_t f = 0; f < frames; ++f) {
+        std::copy(shift, shift + 3, fields.target.begin() + static_cast<std::ptrdiff_t>(12 * f));
     }
     const auto t = model.simulate(fields, slow, {}, nullptr, &o);
-    for (std::size_t f = 1; f <= 6; ++f) {
-        const double time = 0.01 * static_cast<double>(f);
-        const double left = shift * (1 + w * time) * std::exp(-w * time);
-        const double u = t.displacement[(f * static_cast<std::size_t>(nodes) + static_cast<std::size_t>(seen)) * 3];
-        EXPECT_NEAR(shift - u, left, 0.02 * shift) << f;
+    double time = 0, worst = 0;
+    for (std::size_t f = 0; f < frames; ++f) {
+        time += steps[f] * dt[f];
+        const double left = (1 + w * time) * std::exp(-w * time);
+        for (std::size_t n = 0; n < static_cast<std::size_t>(nodes); ++n) {
+            for (std::size_t c = 0; mass[n] > 0 && c < 3; ++c) {
+                const double u = t.displacement[((f + 1) * static_cast<std::size_t>(nodes) + n) * 3 + c];
+                worst = std::max(worst, std::abs((shift[c] - u) / shift[c] - left));
+            }
+        }
     }
+    return worst;
+}
+
+TEST(Observer, AFreeBodyFollowsItsTargetAsACriticallyDampedOscillator) {
+    const double coarse = off_the_closed_form(1), fine = off_the_closed_form(4);
+    EXPECT_LT(coarse, 5e-3);
+    // Of first order in the substep, and of nothing else.
+    EXPECT_NEAR(coarse / fine, 4.0, 0.2);
+}
+
+/// A target that moves at a constant rate is followed without a lag: the rate counts in what pulls.
+TEST(Observer, AMovingTargetIsFollowedWithoutALag) {
+    const double rate = 0.05;
+    const Schedule slow{{50, 80}, {2e-4, 1.5e-4}, 0};
+    test::BarOptions options;
+    options.held = false;
+    const TotalLagrangian<double> model(test::bar_geometry(options), {});
+    F fields = test::fields_at_rest<double>(options, model.geometry(), slow);
+    const std::size_t nodes = model.node_count();
+    const std::vector<double> mass = model.node_mass(fields);
+    const auto seen = static_cast<std::size_t>(std::max_element(mass.begin(), mass.end()) - mass.begin());
+    Observer o;
+    o.row_begin = {0, 1};
+    o.row_carrier = {static_cast<std::int32_t>(seen)};
+    o.row_weight = {1.0};
+    for (std::size_t n = 0; n <= nodes; ++n) {
+        o.reach_begin.push_back(static_cast<std::int32_t>(n));
+    }
+    o.reach_channel.assign(nodes, 0);
+    o.reach_weight.assign(nodes, 1.0);
+    o.stiffness = 1600;
+    o.damping = 80;
+    o.share = {1.0, 1.0};
+    fields.target.assign(24, 0.0);
+    fields.velocity0.assign(3 * nodes, 0.0);
+    for (std::size_t n = 0; n < nodes; ++n) {
+        fields.velocity0[3 * n + 1] = rate;
+    }
+    double time = 0;
+    for (std::size_t f = 0; f < 2; ++f) {  // y = rate t, in powers of the share of each interval
+        const double span = slow.steps[f] * slow.dt[f];
+        fields.target[12 * f + 1] = rate * time;
+        fields.target[12 * f + 4] = rate * span;
+        time += span;
+    }
+    const auto t = model.simulate(fields, slow, {}, nullptr, &o);
+    EXPECT_NEAR(t.displacement[(2 * nodes + seen) * 3 + 1], rate * time, 1e-9 * rate * time);
+    EXPECT_NEAR(t.velocity[(2 * nodes + seen) * 3 + 1], rate, 1e-9 * rate);
 }
 
 TEST(Observer, RefusesWhatDoesNotFit) {
     const Scene s = scene();
-    const auto refused = [&](auto change) {
+    const auto refused = [&](const std::string& expected, auto change) {
         Scene broken = s;
         change(broken);
-        EXPECT_THROW(s.bar.model->simulate(broken.bar.fields, schedule, {}, nullptr, &broken.observer), std::invalid_argument);
+        const F& f = broken.bar.fields;
+        const auto& model = *s.bar.model;
+        const auto named = [&](auto run) {
+            try {
+                run();
+                ADD_FAILURE() << "not refused: " << expected;
+            } catch (const std::invalid_argument& error) {
+                EXPECT_NE(std::string(error.what()).find(expected), std::string::npos) << error.what();
+                EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
+            }
+        };
+        named([&] { model.simulate(f, schedule, {}, nullptr, &broken.observer); });
+        named([&] { model.tangent(f, {F{}, F{}}, schedule, {}, nullptr, {}, &broken.observer); });
+        named([&] { model.adjoint(f, schedule, {}, {}, nullptr, nullptr, &broken.observer); });
     };
-    refused([](Scene& b) { b.observer.share.pop_back(); });
-    refused([](Scene& b) { b.bar.fields.target.pop_back(); });
-    refused([](Scene& b) { b.observer.row_carrier[0] = -1; });
-    refused([](Scene& b) { b.observer.row_carrier[0] = 1 << 20; });
-    refused([](Scene& b) { b.observer.reach_begin.pop_back(); });
-    refused([](Scene& b) { b.observer.reach_channel[0] = static_cast<int>(channels); });
-    refused([](Scene& b) { b.observer.row_begin[1] = 100; });
-    refused([](Scene& b) { b.observer.stiffness = -1; });
+    refused("share must be", [](Scene& b) { b.observer.share.pop_back(); });
+    refused("share must be", [](Scene& b) { b.observer.share.clear(); });
+    refused("target must be", [](Scene& b) { b.bar.fields.target.pop_back(); });
+    refused("target must be", [](Scene& b) { b.bar.fields.target.clear(); });
+    refused("row_begin must be", [](Scene& b) { b.observer.row_begin[0] = 1; });
+    refused("row_begin must not fall", [](Scene& b) { b.observer.row_begin[1] = 100; });
+    refused("row_begin must end", [](Scene& b) { b.observer.row_begin.back() += 1; });
+    refused("row_begin must end", [](Scene& b) { b.observer.row_carrier.pop_back(); });
+    refused("row_begin must end", [](Scene& b) { b.observer.row_weight.pop_back(); });
+    refused("row names a number out of range", [](Scene& b) { b.observer.row_carrier[0] = -1; });
+    refused("row names a number out of range",
+            [&](Scene& b) { b.observer.row_carrier[0] = static_cast<std::int32_t>(s.bar.model->node_count()); });
+    refused("reach_begin must be", [](Scene& b) { b.observer.reach_begin.pop_back(); });
+    refused("reach_begin must be", [](Scene& b) { b.observer.reach_begin[0] = 1; });
+    refused("reach_begin must not fall", [](Scene& b) { b.observer.reach_begin[1] = 1 << 20; });
+    refused("reach_begin must end", [](Scene& b) { b.observer.reach_channel.pop_back(); });
+    refused("reach_begin must end", [](Scene& b) { b.observer.reach_weight.pop_back(); });
+    refused("reach names a number out of range", [](Scene& b) { b.observer.reach_channel[0] = -1; });
+    refused("reach names a number out of range", [](Scene& b) { b.observer.reach_channel[0] = static_cast<int>(channels); });
+    refused("stiffness and damping", [](Scene& b) { b.observer.stiffness = -1; });
+    refused("stiffness and damping", [](Scene& b) { b.observer.damping = -1; });
+    refused("stiffness and damping", [](Scene& b) { b.observer.damping = std::nan(""); });
     EXPECT_THROW(s.bar.model->simulate(s.bar.fields, schedule), std::invalid_argument);
+    // A direction's target has the size of the fields'.
+    F odd;
+    odd.target.assign(s.bar.fields.target.size() - 1, 0.0);
+    EXPECT_THROW(s.bar.model->tangent(s.bar.fields, {odd}, schedule, {}, nullptr, {}, &s.observer), std::invalid_argument);
 }
 
 }  // namespace
