@@ -2,7 +2,7 @@
 //
 // Channels are measured points, h_i(u) = sum_k w_ik u_k with carriers k (grid nodes). Every carrier n gets
 //   a_n = sum_i G_ni share_i [ stiffness e_i + damping de_i/dt ],  e_i = y_i(t) - h_i(u),  de_i/dt = dy_i/dt - h_i(v),
-// at the start of the substep, whatever its mass. Targets y are cubic polynomials in the share s of each output interval.
+// at the start of the substep, whatever its mass; G_ni is a number, or a matrix where a pull to one side turns the body. Targets y are cubic polynomials in the share s of each output interval.
 // Its rates are far below the elastic ones: they do not count in the stable substep.
 // Sources: Luenberger, "Observing the state of a linear system", 1964; Hoke and Anthes, "The initialization of numerical
 // models by a dynamic-initialization technique", 1976.
@@ -19,17 +19,20 @@ struct Observer {
     std::vector<std::int32_t> row_begin, row_carrier;      // (M + 1,), carriers of each channel
     std::vector<double> row_weight;                        // their weights w [-]
     std::vector<std::int32_t> reach_begin, reach_channel;  // (N + 1,), channels that pull each carrier
-    std::vector<double> reach_weight;                      // how much of each, G [-]
+    std::vector<double> reach_weight;                      // how much of each, G [-]: a number, or 3 x 3 by rows
     double stiffness = 0;                                  // omega^2 [1/s^2]
     double damping = 0;                                    // 2 zeta omega [1/s]
     std::vector<double> share;                             // (F, M) 0 in gaps
 
     std::size_t channel_count() const { return row_begin.empty() ? 0 : row_begin.size() - 1; }
+    /// Numbers to each G: 1 or 9.
+    std::size_t reach_size() const { return reach_weight.size() > reach_channel.size() ? 9 : 1; }
 
     /// Throws std::invalid_argument, one line, where sizes or numbers are wrong. target: numbers of Fields::target.
     void check(std::size_t carriers, std::size_t frames, std::size_t target) const {
-        rows(row_begin, row_carrier, row_weight, channel_count(), carriers, "row");
-        rows(reach_begin, reach_channel, reach_weight, carriers, channel_count(), "reach");
+        rows(row_begin, row_carrier, row_weight.size(), channel_count(), carriers, "row");
+        require(reach_weight.size() % reach_size() == 0, "reach_weight must be a number or 3 x 3 each");
+        rows(reach_begin, reach_channel, reach_weight.size() / reach_size(), carriers, channel_count(), "reach");
         require(share.size() == frames * channel_count(), "share must be (intervals, channels)");
         require(target == 12 * frames * channel_count(), "fields' target must be (intervals, channels, 4, 3)");
         require(stiffness >= 0 && damping >= 0, "stiffness and damping must be 0 or more");
@@ -42,12 +45,12 @@ struct Observer {
         }
     }
     static void rows(const std::vector<std::int32_t>& begin, const std::vector<std::int32_t>& index,
-                     const std::vector<double>& weight, std::size_t count, std::size_t columns, const std::string& name) {
+                     std::size_t weights, std::size_t count, std::size_t columns, const std::string& name) {
         require(begin.size() == count + 1 && begin.front() == 0, name + "_begin must be (" + std::to_string(count + 1) + ",) from 0 on");
         for (std::size_t i = 0; i < count; ++i) {
             require(begin[i] <= begin[i + 1], name + "_begin must not fall");
         }
-        require(static_cast<std::size_t>(begin.back()) == index.size() && index.size() == weight.size(),
+        require(static_cast<std::size_t>(begin.back()) == index.size() && index.size() == weights,
                 name + "_begin must end with the number of weights");
         for (const std::int32_t k : index) {
             require(k >= 0 && static_cast<std::size_t>(k) < columns, name + " names a number out of range");

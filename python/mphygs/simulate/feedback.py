@@ -17,8 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.sparse import csr_matrix
-from scipy.spatial import cKDTree
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief, Parameter
@@ -26,16 +25,11 @@ from mphygs.simulate.carried import Carriers
 from mphygs.simulate.measurement import unmeasured
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.timeline import Timeline
+from mphygs.simulate.transfer import Transfer
 
 # Critically damped, with a memory of 2 / fps: faster, and the noise of single frames is followed; slower, and
 # what is missing piles up.
 DAMPING_RATIO, PER_FRAME = 1.0, 0.5
-# Of the markers' usual distance: the width of what one pulls, and how far it reaches at most, in widths. As
-# wide as that distance, a pull takes the shapes that the markers just tell apart for rigid shifts, and drives
-# them: a beam with six markers beside it swung up.
-WIDTH, REACH = 0.5, 3.0
-# Weight of nothing in the partition of unity: half of the pull is left two widths away from the last marker.
-NOTHING = float(np.exp(-2.0))
 # Of a fault's usual size, the step of differences by it: what faults make of the targets is nearly linear.
 STEP = 1e-3
 
@@ -46,7 +40,7 @@ class Feedback:
 
     gain: 0 (none) to 1 (a memory of 2 / fps), it scales the acceleration; position: (T, M, 3) measured [m],
     NaN where it is not; rest: (M, 3) markers at rest [m]; free: (M,) markers that the material carries and
-    that were seen; rows, reach: sparse (channels, carriers) and (carriers, channels).
+    that were seen; rows: sparse (channels, carriers); reach: sparse (carriers, channels), or in blocks.
     """
 
     recording: Recording
@@ -55,7 +49,7 @@ class Feedback:
     rest: np.ndarray
     free: np.ndarray
     rows: csr_matrix = field(repr=False)
-    reach: csr_matrix = field(repr=False)
+    reach: csr_matrix | bsr_matrix = field(repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.gain <= 1.0:
@@ -66,15 +60,15 @@ class Feedback:
         cls,
         recording: Recording,
         carriers: Carriers,
-        places: np.ndarray,
+        transfer: Transfer,
         position: np.ndarray,
         *,
         gain: float = 1.0,
     ) -> Feedback:
-        """Feedback of a recording. places: (N, 3) carriers at rest [m]; position: (T, M, 3) [m], NaN where a
+        """Feedback of a recording. transfer: whose carriers are pulled; position: (T, M, 3) [m], NaN where a
         marker was not seen or is left out.
 
-        Raises ValueError where the gain is not between 0 and 1.
+        Raises ValueError where the gain is not between 0 and 1, or the transfer has no feedback.
         """
         a = carriers.attachment
         rest = a.anchor + a.offset
@@ -89,9 +83,9 @@ class Feedback:
         value[turning] += np.einsum("mkj,mj->mk", carriers.gradient[own][turning], offset)
         count = len(index)
         begin = np.repeat(np.arange(count), index.shape[1])
-        shape = (count, len(places))
+        shape = (count, len(transfer.places_at_rest()))
         rows = csr_matrix((value.ravel(), (begin, index.ravel())), shape=shape)
-        return cls(recording, gain, position, rest, free, rows, _reach(rest[free], places))
+        return cls(recording, gain, position, rest, free, rows, transfer.spread(rows, rest[free]))
 
     def scaled(self, gain: float) -> Feedback:
         """The same with another gain."""
@@ -111,7 +105,7 @@ class Feedback:
             row_weight=rows.data,
             reach_begin=reach.indptr.astype(np.int32),
             reach_channel=reach.indices.astype(np.int32),
-            reach_weight=reach.data,
+            reach_weight=reach.data.ravel(),
             stiffness=self.omega**2,
             damping=2.0 * DAMPING_RATIO * self.omega,
             share=self._share(timeline),
@@ -167,25 +161,3 @@ def _at_clock_of(belief: Belief, timeline: Timeline, fps: float) -> Timeline:
     if "time_offset" not in belief.effects:
         return timeline
     return replace(timeline, clock=timeline.frames / fps + belief["time_offset.offset"].value)
-
-
-def _reach(markers: np.ndarray, places: np.ndarray) -> csr_matrix:
-    """(N, M) partition of unity over the markers within reach of each carrier. markers: (M, 3) [m]."""
-    shape = (len(places), len(markers))
-    if not len(markers):
-        return csr_matrix(shape)
-    width = WIDTH * _usual_distance(markers)
-    if width == 0.0:
-        width = float(np.ptp(places, axis=0).max())
-    pairs = cKDTree(places).sparse_distance_matrix(cKDTree(markers), REACH * width, output_type="coo_matrix")
-    weight = np.exp(-0.5 * (pairs.data / width) ** 2)
-    total = np.bincount(pairs.row, weight, minlength=len(places)) + NOTHING
-    return csr_matrix((weight / total[pairs.row], (pairs.row, pairs.col)), shape=shape)
-
-
-def _usual_distance(markers: np.ndarray) -> float:
-    """Median distance of a marker from its neighbours [m]: the mean of the two nearest."""
-    count = min(3, len(markers))
-    if count < 2:
-        return 0.0
-    return float(np.median(cKDTree(markers).query(markers, k=count)[0][:, 1:].mean(1)))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
 from mphygs import _core
@@ -82,6 +83,9 @@ class MaterialPoints(Transfer):
 
     def places_at_rest(self) -> np.ndarray:
         return self.body.geometry["points"]
+
+    def spread(self, rows: csr_matrix, markers: np.ndarray) -> csr_matrix | bsr_matrix:
+        raise ValueError(core_runs.NO_OBSERVER)
 
     def load_share(self, load: Load) -> np.ndarray:
         inside, share = self.body.inside(load.box)

@@ -16,9 +16,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from mphygs import _core
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import Body
 from mphygs.simulate.fields import core_effects, places, primal
 from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.rows import held_rows
 from mphygs.simulate.user_effects import forces_of
 
 # Nodes this many cells apart share no cell: their columns of the stiffness are found together.
@@ -88,7 +88,7 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
 
     index = model.node_index
     stiffness = _stiffness(accelerations, mass, index)
-    shape, squared = _lowest(stiffness, mass, _hold_rows(body, index), count)
+    shape, squared = _lowest(stiffness, mass, held_rows(body, index), count)
     slowed = accelerations([{"velocity0": s} for s in np.moveaxis(shape, -1, 0)])
     damping = -np.einsum("n,nci,jnc->ij", mass, shape, slowed)
     return Modes(shape, squared, damping, mass)
@@ -154,15 +154,3 @@ def _stiffness(
     place = (np.concatenate(rows), np.concatenate(columns))
     matrix = coo_matrix((np.concatenate(values), place), shape=(3 * nodes, 3 * nodes)).tocsc()
     return csc_matrix(0.5 * (matrix + matrix.T))
-
-
-def _hold_rows(body: Body, index: np.ndarray) -> csc_matrix:
-    """(R, N) weights of the nodes that every held column of them fixes and every joint ties."""
-    geometry = body.geometry
-    if not len(geometry["row_hold"]):
-        return csc_matrix((0, len(index)))
-    number = {tuple(i): n for n, i in enumerate(index)}
-    begin = geometry["row_begin"]
-    row = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
-    column = [number[tuple(i)] for i in geometry["row_node"]]
-    return csc_matrix((geometry["row_weight"], (row, column)), shape=(len(begin) - 1, len(index)))

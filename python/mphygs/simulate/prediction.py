@@ -329,8 +329,7 @@ class Predictor:
     def pulled_by(self, position: np.ndarray, gain: float) -> Feedback:
         """What pulls the motion towards measured markers (T, M, 3) [m], kept. gain: see `Feedback`."""
         if self._pull is None or self._pull.position is not position:
-            places = self.transfer.places_at_rest()
-            self._pull = Feedback.of(self.recording, self.carriers, places, position)
+            self._pull = Feedback.of(self.recording, self.carriers, self.transfer, position)
             self._pulls = {1.0: self._pull}
         if gain not in self._pulls:
             self._pulls[gain] = self._pull.scaled(gain)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from mphygs.scene.particles import HoldFace, find_joints
 from mphygs.simulate.ties import tie_rows
@@ -129,3 +130,15 @@ def _column(nodes: set, axis: int, across: list[int], key: tuple[int, int], heig
 
 def _spline(s: np.ndarray | float) -> np.ndarray:
     return np.array([0.5 * (0.5 - s) ** 2, 0.75 - s * s, 0.5 * (0.5 + s) ** 2])
+
+
+def held_rows(body: Body, index: np.ndarray) -> csc_matrix:
+    """(R, N) weights of the nodes that every held column of them fixes and every joint ties."""
+    geometry = body.geometry
+    if not len(geometry["row_hold"]):
+        return csc_matrix((0, len(index)))
+    number = {tuple(i): n for n, i in enumerate(index)}
+    begin = geometry["row_begin"]
+    row = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
+    column = [number[tuple(i)] for i in geometry["row_node"]]
+    return csc_matrix((geometry["row_weight"], (row, column)), shape=(len(begin) - 1, len(index)))

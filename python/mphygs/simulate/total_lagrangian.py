@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
@@ -14,6 +15,7 @@ from mphygs.simulate.body import Attachment, Body, core_model, with_places
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.observer import Observer
+from mphygs.simulate.spread import spread
 from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
@@ -53,6 +55,9 @@ class TotalLagrangian(Transfer):
 
     def places_at_rest(self) -> np.ndarray:
         return self._plain().node_positions
+
+    def spread(self, rows: csr_matrix, markers: np.ndarray) -> csr_matrix | bsr_matrix:
+        return spread(self._plain(), self.body, rows, markers, self.settings.spacing)
 
     def load_share(self, load: Load) -> np.ndarray:
         q, model = self.body.quadrature, self._plain()

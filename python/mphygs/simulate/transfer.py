@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
@@ -82,6 +83,14 @@ class Transfer(ABC):
     @abstractmethod
     def places_at_rest(self) -> np.ndarray:
         """(N, 3) of the carriers [m]."""
+
+    @abstractmethod
+    def spread(self, rows: csr_matrix, markers: np.ndarray) -> csr_matrix | bsr_matrix:
+        """Accelerations of the carriers, (N, M) or in blocks (3 N, 3 M), for those that markers ask for.
+
+        rows: (M, N) by which they follow the carriers; markers: (M, 3) at rest [m]. Raises ValueError where
+        the transfer has no feedback.
+        """
 
     @abstractmethod
     def load_share(self, load: Load) -> np.ndarray:

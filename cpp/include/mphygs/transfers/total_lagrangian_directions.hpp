@@ -233,31 +233,37 @@ class TotalLagrangianDirections {
         const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
         const TargetBasis basis = value_.target_basis(n, frame, dt);
         const bool aimed = any(&Fields<T>::target);
+        const T stiffness = static_cast<T>(o.stiffness), damping = static_cast<T>(o.damping);
         wanted_.assign(slabs_ * 3 * count, W{});
+        // Rows are linear: one pass over them does for place and rate.
+        blend_.resize(u_.size());
+        for (std::size_t i = 0; i < u_.size(); ++i) {
+            blend_[i] = stiffness * u_[i] + damping * v_[i];
+        }
+        T factor[4];
+        for (std::size_t k = 0; k < 4; ++k) {
+            factor[k] = stiffness * static_cast<T>(basis.value[k]) + damping * static_cast<T>(basis.rate[k]);
+        }
         for (std::size_t s = 0; s < slabs_; ++s) {
             for (std::size_t i = 0; i < count; ++i) {
                 const T share = static_cast<T>(o.share[from + i]);
                 if (share == T{}) {
                     continue;
                 }
-                W place[3] = {}, rate[3] = {};
+                W asked[3] = {};
                 for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
                     const std::size_t at_row = static_cast<std::size_t>(r);
                     const std::size_t node = s * slab_ + 3 * static_cast<std::size_t>(o.row_carrier[at_row]);
                     const T weight = static_cast<T>(o.row_weight[at_row]);
                     for (std::size_t c = 0; c < 3; ++c) {
-                        place[c] -= weight * u_[node + c];
-                        rate[c] -= weight * v_[node + c];
+                        asked[c] -= weight * blend_[node + c];
                     }
                 }
                 for (std::size_t c = 0; c < 3; ++c) {
                     for (std::size_t k = 0; aimed && k < 4; ++k) {
-                        const W coefficient = lanes(&Fields<T>::target, s, ((from + i) * 4 + k) * 3 + c);
-                        place[c] += static_cast<T>(basis.value[k]) * coefficient;
-                        rate[c] += static_cast<T>(basis.rate[k]) * coefficient;
+                        asked[c] += factor[k] * lanes(&Fields<T>::target, s, ((from + i) * 4 + k) * 3 + c);
                     }
-                    wanted_[(s * count + i) * 3 + c] =
-                        share * (static_cast<T>(o.stiffness) * place[c] + static_cast<T>(o.damping) * rate[c]);
+                    wanted_[(s * count + i) * 3 + c] = share * asked[c];
                 }
             }
         }
@@ -268,7 +274,7 @@ class TotalLagrangianDirections {
             return;
         }
         const Observer& o = *observer_;
-        const std::size_t count = o.channel_count();
+        const std::size_t count = o.channel_count(), size = o.reach_size();
         const T h = static_cast<T>(dt);
         for (std::size_t n = 0; n < model_.node_count(); ++n) {
             if (value_.inverse_mass_[n] == T{}) {
@@ -276,11 +282,19 @@ class TotalLagrangianDirections {
             }
             for (std::int32_t r = o.reach_begin[n]; r < o.reach_begin[n + 1]; ++r) {
                 const std::size_t at_row = static_cast<std::size_t>(r);
-                const T weight = h * static_cast<T>(o.reach_weight[at_row]);
                 const std::size_t channel = 3 * static_cast<std::size_t>(o.reach_channel[at_row]);
+                const double* g = &o.reach_weight[size * at_row];
                 for (std::size_t s = 0; s < slabs_; ++s) {
+                    W* v = &v_[s * slab_ + 3 * n];
+                    const W* asked = &wanted_[3 * s * count + channel];
                     for (std::size_t c = 0; c < 3; ++c) {
-                        v_[s * slab_ + 3 * n + c] += weight * wanted_[3 * s * count + channel + c];
+                        if (size == 1) {
+                            v[c] += h * static_cast<T>(g[0]) * asked[c];
+                            continue;
+                        }
+                        for (std::size_t k = 0; k < 3; ++k) {
+                            v[c] += h * static_cast<T>(g[3 * c + k]) * asked[k];
+                        }
                     }
                 }
             }
@@ -409,6 +423,7 @@ class TotalLagrangianDirections {
     bool rate_ = false, surface_ = false, volume_added_ = false;
     std::vector<W> u_, v_, f_;                          // slab, node, component
     std::vector<W> wanted_;                             // by the observer: slab, channel, component [m/s^2]
+    std::vector<W> blend_;                              // stiffness u + damping v of the nodes, for the observer
     std::vector<W> gravity_;                            // slab, component
     std::vector<D> parameters_, uniforms_;              // slab, number
     std::vector<W> mu_, lambda_, volume_, mass_points_;  // slab, point; empty where no direction changes it

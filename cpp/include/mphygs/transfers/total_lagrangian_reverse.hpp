@@ -175,15 +175,24 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     std::vector<double> asked_bar(double dt) const {
         const Observer* o = run_.inputs_.observer;
         std::vector<double> bar(o ? 3 * o->channel_count() : 0, 0.0);
+        const std::size_t size = o ? o->reach_size() : 1;
         for (std::size_t n = 0; o && n < model_.node_count(); ++n) {
             if (run_.inverse_mass_[n] == T{}) {
                 continue;
             }
             for (std::int32_t r = o->reach_begin[n]; r < o->reach_begin[n + 1]; ++r) {
                 const std::size_t at_row = static_cast<std::size_t>(r);
+                const double* g = &o->reach_weight[size * at_row];
+                double* asked = &bar[3 * static_cast<std::size_t>(o->reach_channel[at_row])];
                 for (std::size_t c = 0; c < 3; ++c) {
-                    bar[3 * static_cast<std::size_t>(o->reach_channel[at_row]) + c] +=
-                        dt * o->reach_weight[at_row] * static_cast<double>(vbar_[run_.at(0, c, n)]);
+                    const double v = dt * static_cast<double>(vbar_[run_.at(0, c, n)]);
+                    if (size == 1) {
+                        asked[c] += g[0] * v;
+                        continue;
+                    }
+                    for (std::size_t k = 0; k < 3; ++k) {
+                        asked[k] += g[3 * c + k] * v;
+                    }
                 }
             }
         }

@@ -265,7 +265,17 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         const Observer& o = *inputs_.observer;
         const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
         const TargetBasis basis = target_basis(n, frame, dt);
+        const T stiffness = static_cast<T>(o.stiffness), damping = static_cast<T>(o.damping);
         wanted_.assign(static_cast<std::size_t>(lanes) * 3 * count, T{});
+        // Rows are linear: one pass over them does for place and rate.
+        blend_.resize(u_.size());
+        for (std::size_t i = 0; i < u_.size(); ++i) {
+            blend_[i] = stiffness * u_[i] + damping * v_[i];
+        }
+        T factor[4];
+        for (std::size_t k = 0; k < 4; ++k) {
+            factor[k] = stiffness * static_cast<T>(basis.value[k]) + damping * static_cast<T>(basis.rate[k]);
+        }
         for (int l = 0; l < lanes; ++l) {
             const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
             const bool aimed = fields && !fields->target.empty();
@@ -274,22 +284,19 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
                 if (share == T{}) {
                     continue;
                 }
+                T asked[3] = {};
+                for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
+                    const std::size_t at_row = static_cast<std::size_t>(r);
+                    const T weight = static_cast<T>(o.row_weight[at_row]);
+                    for (std::size_t c = 0; c < 3; ++c) {
+                        asked[c] -= weight * blend_[at(l, c, static_cast<std::size_t>(o.row_carrier[at_row]))];
+                    }
+                }
                 for (std::size_t c = 0; c < 3; ++c) {
-                    T place{}, rate{};
                     for (std::size_t k = 0; aimed && k < 4; ++k) {
-                        const T coefficient = fields->target[((from + i) * 4 + k) * 3 + c];
-                        place += static_cast<T>(basis.value[k]) * coefficient;
-                        rate += static_cast<T>(basis.rate[k]) * coefficient;
+                        asked[c] += factor[k] * fields->target[((from + i) * 4 + k) * 3 + c];
                     }
-                    for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
-                        const std::size_t at_row = static_cast<std::size_t>(r);
-                        const std::size_t node = at(l, c, static_cast<std::size_t>(o.row_carrier[at_row]));
-                        const T weight = static_cast<T>(o.row_weight[at_row]);
-                        place -= weight * u_[node];
-                        rate -= weight * v_[node];
-                    }
-                    wanted_[(static_cast<std::size_t>(l) * 3 + c) * count + i] =
-                        share * (static_cast<T>(o.stiffness) * place + static_cast<T>(o.damping) * rate);
+                    wanted_[(static_cast<std::size_t>(l) * 3 + c) * count + i] = share * asked[c];
                 }
             }
         }
@@ -301,7 +308,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
             return;
         }
         const Observer& o = *inputs_.observer;
-        const std::size_t count = o.channel_count();
+        const std::size_t count = o.channel_count(), size = o.reach_size();
         const T h = static_cast<T>(dt);
         for (std::size_t n = 0; n < model_.node_count(); ++n) {
             if (inverse_mass_[n] == T{}) {
@@ -309,11 +316,17 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
             }
             for (std::int32_t r = o.reach_begin[n]; r < o.reach_begin[n + 1]; ++r) {
                 const std::size_t at_row = static_cast<std::size_t>(r);
-                const T weight = h * static_cast<T>(o.reach_weight[at_row]);
-                const T* from = &wanted_[static_cast<std::size_t>(o.reach_channel[at_row])];
+                const double* g = &o.reach_weight[size * at_row];
                 for (int l = 0; l < lanes; ++l) {
+                    const T* from = &wanted_[static_cast<std::size_t>(l) * 3 * count + static_cast<std::size_t>(o.reach_channel[at_row])];
                     for (std::size_t c = 0; c < 3; ++c) {
-                        v_[at(l, c, n)] += weight * from[(static_cast<std::size_t>(l) * 3 + c) * count];
+                        if (size == 1) {
+                            v_[at(l, c, n)] += h * static_cast<T>(g[0]) * from[c * count];
+                            continue;
+                        }
+                        for (std::size_t k = 0; k < 3; ++k) {
+                            v_[at(l, c, n)] += h * static_cast<T>(g[3 * c + k]) * from[k * count];
+                        }
                     }
                 }
             }
@@ -422,6 +435,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     Team* team_;
     std::vector<int> first_step_;             // of every output interval
     std::vector<T> wanted_;                   // by the observer: lane, component, channel [m/s^2]
+    std::vector<T> blend_;                    // stiffness u + damping v of the nodes, for the observer
     std::vector<T> f_, mass_, inverse_mass_;  // lane, component, node
     Vec3<U> gravity_;
     U compliance_{};
