@@ -2,9 +2,9 @@
 
     python benchmarks/diagnose/run.py [CAPTURE ...] [--rounds 5]
 
-Fits elasticity alone to each capture, on the grid that effects are scored on, which is coarser than that of a
-fit: one forward run on each stands beside the tangents. Without a capture, a bar with a hidden viscosity is
-made. The runs take turns, so that what else the machine does is felt by all.
+Fits elasticity alone to each capture, under feedback, on the grid that effects are scored on, which is
+coarser than that of a fit: one forward run on each stands beside the tangents. Without a capture, a bar with
+a hidden viscosity is made. The runs take turns, so that what else the machine does is felt by all.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import tyro
 
 from mphygs.capture.format import load_capture
 from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
-from mphygs.extend.discover import first_fit
+from mphygs.extend.rounds import assimilated
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.schedule import default_spacing, screening_spacing
@@ -61,7 +61,7 @@ def measured(folder: Path, options: Options) -> str:
     capture = load_capture(folder)
     spacing = screening_spacing(capture)
     experiment = Experiment.of(capture, Settings(spacing=spacing, workers=options.workers))
-    belief = first_fit(experiment, experiment.starting(starting_belief(capture)), spacing).belief
+    belief = assimilated(experiment, experiment.starting(starting_belief(capture)), spacing).belief
     name, (_first, last) = next(iter(experiment.fitted.items()))
     predictor = experiment.predictor(name, spacing)
     finer = experiment.predictor(name, default_spacing(capture))

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bar_capture import bar_belief, bar_capture
+from extend_example import SPACING
 from mphygs.diagnose.candidates import Way, late_ways, other_starts, smooth_ways, starting_effect
 from mphygs.model.belief import Belief
-from test_diagnose_late import resting
+from mphygs.simulate.prediction import Predictor, Settings
+
+FREE, FRAMES = ("part0.youngs_modulus",), 24
+
+
+@cache
+def resting() -> tuple[Predictor, Belief]:
+    """A shaken bar whose published shape bears its weight."""
+    shake = 0.002 * np.sin(np.linspace(0.0, 9.0, FRAMES))[:, None] * [0.0, 1.0, 0.3]
+    capture = bar_capture(frames=FRAMES, fps=60.0, rest="equilibrium", motion=shake, fit=(0, FRAMES))
+    belief = bar_belief(capture, youngs_modulus=8e4, prestress="equilibrium", free=FREE)
+    return Predictor(capture, capture.sequence("a"), Settings(SPACING, workers=1)), belief
 
 
 def tether() -> tuple[Way, Belief]:
