@@ -15,8 +15,8 @@ using F = Fields<double>;
 constexpr std::size_t channels = 3;
 const Schedule schedule{{3, 4, 2}, {1e-4, 8e-5, 1.2e-4}, 0.01};
 
-/// Channels that read a few nodes each, and pull all of them.
-Observer observer_of(const TotalLagrangian<double>& model, std::size_t frames, unsigned seed = 5) {
+/// Channels that read a few nodes each, and pull all of them; size: numbers to each pull, 1 or 9.
+Observer observer_of(const TotalLagrangian<double>& model, std::size_t frames, std::size_t size, unsigned seed = 5) {
     test::Random random(seed);
     Observer o;
     const int nodes = static_cast<int>(model.node_count());
@@ -32,7 +32,9 @@ Observer observer_of(const TotalLagrangian<double>& model, std::size_t frames, u
     for (int n = 0; n < nodes; ++n) {
         for (int i = n % 2; i < static_cast<int>(channels); ++i) {
             o.reach_channel.push_back(i);
-            o.reach_weight.push_back(random.between(0.1, 0.5));
+            for (std::size_t k = 0; k < size; ++k) {
+                o.reach_weight.push_back(random.between(k % 4 == 0 ? 0.1 : -0.2, k % 4 == 0 ? 0.5 : 0.2));
+            }
         }
         o.reach_begin.push_back(static_cast<std::int32_t>(o.reach_channel.size()));
     }
@@ -58,11 +60,11 @@ struct Scene {
     Observer observer;
 };
 
-Scene scene(Settings settings = {}) {
+Scene scene(Settings settings = {}, std::size_t size = 1) {
     settings.active = test::only_active({effect_number("viscosity"), effect_number("mass_damping")});
     Scene s{test::make_bar({}, schedule, settings), {}};
     test::stir(s.bar, 21);
-    s.observer = observer_of(*s.bar.model, schedule.steps.size());
+    s.observer = observer_of(*s.bar.model, schedule.steps.size(), size);
     test::Random random(9);
     s.bar.fields.target = random.numbers(12 * schedule.steps.size() * channels, -2e-3, 2e-3);
     return s;
@@ -106,8 +108,12 @@ double distance(const std::vector<double>& a, const std::vector<double>& b) {
 
 double norm(const std::vector<double>& a) { return distance(a, std::vector<double>(a.size(), 0.0)); }
 
-TEST(Observer, TangentsFollowDifferencesAloneAndInManyLanes) {
-    const Scene s = scene();
+/// Pulls by numbers and by matrices.
+class Pulls : public testing::TestWithParam<std::size_t> {};
+INSTANTIATE_TEST_SUITE_P(Observer, Pulls, testing::Values(std::size_t{1}, std::size_t{9}));
+
+TEST_P(Pulls, TangentsFollowDifferencesAloneAndInManyLanes) {
+    const Scene s = scene({}, GetParam());
     F all = direction_of(s.bar.fields, 3);
     all.effect.clear();  // numbers of all sizes, yields of a million pascals among them
     F aimed;
@@ -167,17 +173,17 @@ TEST(Observer, TangentsOfEachFieldFollowDifferences) {
     }
 }
 
-TEST(Observer, AdjointIsTheTransposeOfTheTangent) {
+TEST_P(Pulls, AdjointIsTheTransposeOfTheTangent) {
     Settings settings;
     settings.memory_budget = 1;  // checkpoints, and everything computed again
-    const Scene s = scene(settings);
+    const Scene s = scene(settings, GetParam());
     test::Random random(4);
     const std::size_t size = (schedule.steps.size() + 1) * 3 * s.bar.model->node_count();
     const Trajectory<double> bar{random.numbers(size, -1, 1), random.numbers(size, -1e-3, 1e-3)};
     long recomputed = 0;
     F gradient = s.bar.model->adjoint(s.bar.fields, schedule, bar, {}, &recomputed, nullptr, &s.observer);
     EXPECT_GT(recomputed, 0);
-    F roomy = scene().bar.model->adjoint(s.bar.fields, schedule, bar, {}, nullptr, nullptr, &s.observer);
+    F roomy = scene({}, GetParam()).bar.model->adjoint(s.bar.fields, schedule, bar, {}, nullptr, nullptr, &s.observer);
     for (std::size_t i = 0; i < static_cast<std::size_t>(F::count); ++i) {
         EXPECT_EQ(*gradient.all()[i], *roomy.all()[i]) << F::names[i];
     }
@@ -243,8 +249,8 @@ TEST(Observer, FromAGapOnItIsAFreeRunToTheBit) {
     EXPECT_GT(distance(pulled.displacement, s.bar.model->simulate(plain, schedule).displacement), 1e-9);
 }
 
-TEST(Observer, DerivativesDoNotDependOnTheThreadsToTheBit) {
-    const Scene s = scene();
+TEST_P(Pulls, DerivativesDoNotDependOnTheThreadsToTheBit) {
+    const Scene s = scene({}, GetParam());
     const F direction = direction_of(s.bar.fields, 12);
     test::Random random(13);
     const std::size_t size = (schedule.steps.size() + 1) * 3 * s.bar.model->node_count();
@@ -324,6 +330,37 @@ TEST(Observer, AFreeBodyFollowsItsTargetAsACriticallyDampedOscillator) {
     EXPECT_LT(coarse, 5e-3);
     // Of first order in the substep, and of nothing else.
     EXPECT_NEAR(coarse / fine, 4.0, 0.2);
+}
+
+TEST(Observer, AMatrixThatIsANumberPullsLikeIt) {
+    Scene s = scene();
+    const auto by_numbers = s.bar.model->simulate(s.bar.fields, schedule, {}, nullptr, &s.observer);
+    std::vector<double> matrices;
+    for (const double g : s.observer.reach_weight) {
+        matrices.insert(matrices.end(), {g, 0, 0, 0, g, 0, 0, 0, g});
+    }
+    s.observer.reach_weight = matrices;
+    const auto by_matrices = s.bar.model->simulate(s.bar.fields, schedule, {}, nullptr, &s.observer);
+    EXPECT_LT(distance(by_numbers.displacement, by_matrices.displacement), 1e-12 * norm(by_numbers.displacement));
+    // And one that turns pulls to another side.
+    Scene turned = scene({}, 9);
+    for (std::size_t k = 0; k < turned.observer.reach_weight.size(); ++k) {
+        turned.observer.reach_weight[k] = k % 9 == 1 ? 1.0 : 0.0;  // x of the carrier by y of the channel
+    }
+    F& fields = turned.bar.fields;
+    for (std::size_t k = 0; k < fields.target.size(); ++k) {
+        fields.target[k] = k % 12 == 1 ? 1e-2 : 0.0;
+    }
+    F plain = fields;
+    plain.target.clear();
+    const auto moved = turned.bar.model->simulate(fields, schedule, {}, nullptr, &turned.observer);
+    const auto free = turned.bar.model->simulate(plain, schedule);
+    double mean[3] = {};
+    for (std::size_t k = 0; k < free.displacement.size(); ++k) {
+        mean[k % 3] += moved.displacement[k] - free.displacement[k];
+    }
+    EXPECT_GT(mean[0], 10 * std::abs(mean[1]));
+    EXPECT_GT(mean[0], 10 * std::abs(mean[2]));
 }
 
 /// A target that moves at a constant rate is followed without a lag: the rate counts in what pulls.

@@ -26,12 +26,14 @@ struct Observer {
 
     std::size_t channel_count() const { return row_begin.empty() ? 0 : row_begin.size() - 1; }
     /// Numbers to each G: 1 or 9.
-    std::size_t reach_size() const { return reach_weight.size() > reach_channel.size() ? 9 : 1; }
+    std::size_t reach_size() const {
+        const std::size_t count = reach_channel.size();
+        return count > 0 && reach_weight.size() == 9 * count ? 9 : 1;
+    }
 
     /// Throws std::invalid_argument, one line, where sizes or numbers are wrong. target: numbers of Fields::target.
     void check(std::size_t carriers, std::size_t frames, std::size_t target) const {
         rows(row_begin, row_carrier, row_weight.size(), channel_count(), carriers, "row");
-        require(reach_weight.size() % reach_size() == 0, "reach_weight must be a number or 3 x 3 each");
         rows(reach_begin, reach_channel, reach_weight.size() / reach_size(), carriers, channel_count(), "reach");
         require(share.size() == frames * channel_count(), "share must be (intervals, channels)");
         require(target == 12 * frames * channel_count(), "fields' target must be (intervals, channels, 4, 3)");

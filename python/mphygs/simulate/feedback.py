@@ -4,10 +4,10 @@ Every carrier (node or particle) n gets the acceleration
 
     sum_i G_ni [ omega^2 e_i + 2 zeta omega de_i/dt ],   e_i = y_i(t) - h_i(u(t)),
 
-y_i the measured place of marker i between frames (cubic spline), h_i the marker as the simulation has it, G a
-partition of unity over the markers within reach. What the model lacks then shows at once and does not pile
-up. Sources: Luenberger, "Observing the state of a linear system", 1964; Hoke & Anthes, "The initialization of
-numerical models by a dynamic-initialization technique", 1976; prediction errors after Ljung, "System
+y_i the measured place of marker i between frames (cubic spline), h_i the marker as the simulation has it, G
+how pulls are spread (`mphygs.simulate.spread`). What the model lacks then shows at once and does not pile
+up. Sources: Luenberger, "Observing the state of a linear system", 1964; Hoke & Anthes, "The initialization
+of numerical models by a dynamic-initialization technique", 1976; prediction errors after Ljung, "System
 identification", ch. 7.
 """
 

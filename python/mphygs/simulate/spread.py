@@ -1,14 +1,13 @@
 """How a pull at markers is spread over the material: accelerations of nodes for those that markers ask for.
 
-Missing accelerations are taken to be smooth over a length d, the markers' distance, as an elastic medium
-makes them: their covariance is P = (V + d^2 K)^-1, V the nodes' volumes, K the stiffness of a uniform medium
-with Young's modulus 1, holds and ties in it; what markers ask for has the variance R = W^-1 / TRUST, W the
-volume nearest to each. Then G = P H^T (H P H^T + R)^-1, the gain of a Kalman filter or of kriging. Whatever
-P, R > 0 are, no shape is driven and no pole exceeds the observer's: the eigenvalues of H G lie in [0, 1).
-Where markers are nearer than a cell, nothing is smoother than the grid: P is V^-1, and the force H^T W acts.
-Sources: Kalman, "A new approach to linear filtering and prediction problems", 1960; kriging after Cressie,
-"Statistics for spatial data", 1993; collocated feedback after Preumont, "Vibration control of active
-structures", 2011.
+Where markers are nearer than a cell each pulls collocated: the force H^T W acts, W the material that is
+nearest to each, no more of it than what a marker moves by itself. Where they are few their pulls are spread
+by the body's own least-energy extension: G = P H^T (H P H^T + R)^-1, P the compliance of a uniform elastic
+medium with holds and ties in it, R what two markers at one place may differ by. It carries rotation and
+parts without markers along. Neither drives anything: the eigenvalues of H G are real and not negative, for
+W and (H P H^T + R)^-1 are symmetric and positive.
+Sources: collocated feedback after Preumont, "Vibration control of active structures", 2011; kriging after
+Cressie, "Statistics for spatial data", 1993.
 """
 
 from __future__ import annotations
@@ -21,8 +20,10 @@ from scipy.spatial import cKDTree
 from mphygs.simulate.body import Body
 from mphygs.simulate.rows import held_rows
 
-# Variance of the missing acceleration over that of what a marker asks for, of the material nearest to it.
-TRUST = 10.0
+# Variance of what two markers at one place may ask for differently, over that of what one asks for.
+NUGGET = 1e-3
+# Of the body's size, the length over which a body without holds is still carried along.
+FAR = 10.0
 # Poisson's ratio of the uniform medium.
 POISSON = 0.3
 # How stiff holds and ties are beside the medium.
@@ -44,21 +45,21 @@ def spread(
     volume = np.bincount(node.ravel(), (value * volumes[:, None]).ravel(), minlength=model.node_count)
     if not len(markers):
         return csr_matrix((model.node_count, 0))
-    nearest = cKDTree(markers).query(points)[1]
-    own = np.bincount(nearest, volumes, minlength=len(markers))
-    distance = _usual_distance(markers)
-    if 0.0 < distance < spacing:
+    if 0.0 < _usual_distance(markers) < spacing:
+        nearest = cKDTree(markers).query(points)[1]
+        own = np.bincount(nearest, volumes, minlength=len(markers))
         local = np.asarray(rows.power(2) @ (1.0 / volume)).ravel()
         return (diags(1.0 / volume) @ rows.T @ diags(np.minimum(own, 1.0 / local))).tocsr()
-    length = distance or float(np.ptp(points, axis=0).max())
-    stiffness = _stiffness(node, gradient, volumes, model.node_count)
-    smooth = csc_matrix(diags(np.repeat(volume, 3)) + length**2 * stiffness)
+    far = FAR * float(np.ptp(points, axis=0).max())
+    smooth = csc_matrix(diags(np.repeat(volume / far**2, 3)))
+    smooth += _stiffness(node, gradient, volumes, model.node_count)
     held = kron(held_rows(body, model.node_index), identity(3))
     smooth += HELD * smooth.diagonal().mean() * (held.T @ held)
     reads = kron(rows, identity(3)).toarray()
     moved = splu(csc_matrix(smooth)).solve(reads.T)
-    noise = 1.0 / (TRUST * np.maximum(np.repeat(own, 3), 1e-3 * own.mean()))
-    gain = np.linalg.solve(reads @ moved + np.diag(noise), moved.T).T
+    compliance = reads @ moved
+    nugget = NUGGET * compliance.diagonal().mean() * np.eye(len(compliance))
+    gain = np.linalg.solve(compliance + nugget, moved.T).T
     return _in_blocks(gain, len(markers))
 
 
