@@ -141,9 +141,11 @@ def decided(
     finalists = round_.finalists
     if not finalists:
         return None
-    if finalists[0].free is None or finalists[0].free_predictive.misfit[0] >= criteria.near:
+    if not round_.free:
         # More is missing: only feedback tells them apart.
-        t, ties = finalists[0], tuple(f.effect for f in finalists[1:])
+        scores = [(t.belief, t.effect, t.predictive) for t in finalists]
+        number, ties = simplest(scores, criteria.grid, criteria)
+        t = finalists[number]
         return step_of(
             experiment, Beside(t.solution, t.predictive, round_.beside.gain), grids,
             added=(t.effect,), ties=ties, table=table_of(round_, t.effect, ties),

@@ -15,7 +15,7 @@ from mphygs.extend.contend import FAILURES, Contender, Predictive, contenders, g
 from mphygs.extend.release import released
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.schedule import driven
+from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import TOTAL_LAGRANGIAN
@@ -23,8 +23,6 @@ from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 Say = Callable[[str], None]
 # Of the cost, what a last step under feedback may promise: far from the data a hundred times as much.
 ACCURACY = 1e-4
-# No less feedback is held against more than this.
-LEAST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,18 +43,34 @@ class Beside:
 class Round:
     """scan: of all candidates; contenders: those that were refitted; finalists: those that the winner is
     among, the best first, none where nothing pays; share: mean square that the grid has of its own
-    [noise's]."""
+    [noise's]; free: whether they stay near the data without feedback."""
 
     beside: Beside
     scan: Scan
     contenders: tuple[Contender, ...]
     finalists: tuple[Contender, ...] = ()
     share: float = 0.0
+    free: bool = False
 
 
 def gains_of(experiment: Experiment) -> tuple[float, ...]:
     """Gains of the feedback from a memory of 2 / fps to none; no feedback where the transfer has none."""
     return (1.0, 0.1, 0.0) if experiment.settings.transfer == TOTAL_LAGRANGIAN else (0.0,)
+
+
+def is_near(experiment: Experiment, problem: Problem, evaluation: Evaluation, criteria: Criteria) -> bool:
+    """Whether a model is near the data (see `Criteria.near`)."""
+    if evaluation.misfit < criteria.near:
+        return True
+    for name, (first, last) in problem.ranges.items():
+        position = experiment.observations[name].position[first:last]
+        if not np.isfinite(position).any():
+            continue
+        motion = position - np.nanmean(position, axis=0)
+        off = position - evaluation.positions[name][first:last]
+        if np.nanmean(off**2) > criteria.share**2 * np.nanmean(motion**2):
+            return False
+    return True
 
 
 def assimilated(
@@ -73,7 +87,7 @@ def assimilated(
     """
     found: Beside | None = None
     gains = gains_of(experiment)
-    for number, gain in enumerate(gains):
+    for gain in gains:
         problem = experiment.problem(spacing).under(gain)
         try:
             solution = minimise(
@@ -83,12 +97,9 @@ def assimilated(
                 relative_tolerance=ACCURACY,
                 dwell=None if found is None else (1, criteria.near),
             )
-            far = solution.evaluation.misfit > criteria.near
+            far = not is_near(experiment, problem, solution.evaluation, criteria)
             if found is not None and far:
                 break
-            if found is None and far and gain > LEAST and driven(problem, solution, gains[number + 1]):
-                say(f"feedback of gain {gain:g} drives the model: less of it")
-                continue
             compared = experiment.compare(solution.belief, spacing, jacobian=False, gain=gain)
         except FAILURES:
             if found is None and gain == gains[-1]:
@@ -136,12 +147,16 @@ def held_round(
     )
     round_ = Round(beside, found, tuple(tried))
     paying = _paying(round_, criteria)
-    if not paying:
-        return round_
-    running = [t for t in side_by_side(experiment, _freed(spacing, criteria), paying) if t.struck is None]
+    beside_data = [t for t in paying if is_near(experiment, problem, t.solution.evaluation, criteria)]
+    if not beside_data:
+        # More is missing: only feedback tells them apart.
+        return replace(round_, finalists=tuple(paying))
+    freed = side_by_side(experiment, _freed(spacing, criteria), beside_data)
+    running = [t for t in freed if t.struck is None]
     for t in running:
         say("  {} free: {:.3f} sigma fitted, {:.3f} unseen".format(t.effect, *t.free_predictive.misfit))
-    near = [t for t in running if t.free_predictive.misfit[0] < criteria.near]
+    plain = experiment.problem(spacing)
+    near = [t for t in running if is_near(experiment, plain, t.free.evaluation, criteria)]
     if not near:
         return replace(round_, finalists=tuple(paying))
     near.sort(key=lambda t: -t.free_predictive.log_score.sum())
@@ -151,7 +166,7 @@ def held_round(
     best = near[0].free_predictive.log_score.sum()
     bound = 0.5 * rows * max(share, criteria.grid)
     finalists = [t for t in near if best - t.free_predictive.log_score.sum() <= bound]
-    return replace(round_, finalists=tuple(finalists[: criteria.decided]), share=share)
+    return replace(round_, finalists=tuple(finalists[: criteria.decided]), share=share, free=True)
 
 
 def _leading(found: Scan, criteria: Criteria) -> list[Scored]:

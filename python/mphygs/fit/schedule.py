@@ -27,8 +27,6 @@ SCREENING_ACCURACY = 1e-4
 # Share of the cost that an iteration of a fit to tracks from pictures has to bring for another one: what
 # errors tracks have of their own last from frame to frame, and leave far more open.
 TRACKED_LEAST = 2e-3
-# Of the feedback's gain: so much of it has to hold a model less well.
-LESS = 0.1
 # A grid within this factor of the deciding one is no screening grid.
 FINE = 1.1
 # A model this far from the data [sigma] is fitted no further than a few iterations.
@@ -245,16 +243,6 @@ def _brought_onward(
     return belief
 
 
-def driven(problem: Problem, solution: Solution, gain: float) -> bool:
-    """Whether the feedback under which a fit was made drives the model instead of holding it: with less of
-    it, a gain of `gain`, the same model is nearer to the data. problem: under that feedback."""
-    try:
-        less = problem.under(gain).evaluate(solution.belief, jacobian=False)
-    except SimulationError:
-        return False
-    return less.misfit < solution.evaluation.misfit
-
-
 def fit_belief(
     capture: Capture,
     belief: Belief,
@@ -310,14 +298,6 @@ def fit_belief(
             dwell=dwell,
             least=stage.least,
         )
-        if stage.gain and driven(problem, solution, LESS * stage.gain):
-            solution = minimise(
-                problem.under(LESS * stage.gain),
-                belief,
-                iterations=stage.iterations,
-                report=tell,
-                relative_tolerance=stage.accuracy,
-            )
         if stage.gain:
             # What is told of it are free runs, of unseen frames as well.
             whole = {n: (a, max(b, capture.sequence(n).predict[1])) for n, (a, b) in problem.ranges.items()}
