@@ -21,10 +21,11 @@ class Criteria:
     grid: mean square [noise's] that a coarse grid is granted of its own at least, where it decides nothing
     (two bodies discretised differently agree to 0.1 to 0.4 sigma); decided: candidates that the finer grid
     decides between, at most.
-    near, share: a model is near the data, so that tangents say what it lacks, up to this misfit [sigma], or
-    up to this share of the motion: a swing that is off by a tenth is off by a tenth of a radian in phase, and
-    what is linear in that errs by a hundredth. Feedback is lowered as long as the model stays so near, for
-    the less there is, the longer what is missing has to show.
+    near: misfit [sigma] up to which free runs decide between models: further off they are told apart under
+    feedback, for free the materials make up for what is missing.
+    share: of the motion, the error up to which tangents say what a model lacks: a swing that is off by half a
+    radian answers as the right one would with a correlation of cos(1/2) = 0.88. Feedback is lowered as long
+    as the model stays so near: the less there is, the longer what is missing has to show.
     negligible: misfit [sigma] up to which a model counts as adequate whatever the test of the floor says:
     held-out errors of 1.1 are the aim.
     negligible_rise: mean square [noise's] by which the misfit may rise when an effect is taken out again.
@@ -41,7 +42,7 @@ class Criteria:
     grid: float = 0.05
     decided: int = 3
     near: float = 2.0
-    share: float = 0.1
+    share: float = 0.5
     negligible: float = 1.1
     negligible_rise: float = 0.01
 

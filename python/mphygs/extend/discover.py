@@ -116,9 +116,16 @@ def told(
     )  # fmt: skip
 
 
-def step_of(experiment: Experiment, beside: Beside, grids: Grids, **more: object) -> Step:
+def is_free(beside: Beside, criteria: Criteria) -> bool:
+    """Whether a model is near the data without feedback."""
+    return beside.gain == 0.0 and beside.predictive.misfit[0] < criteria.near
+
+
+def step_of(
+    experiment: Experiment, beside: Beside, grids: Grids, criteria: Criteria, **more: object
+) -> Step:
     """A model as it is told: free; on the grid that decides where it is near the data without feedback."""
-    if beside.gain == 0.0:
+    if is_free(beside, criteria):
         solution, _ = settled(experiment, beside.belief, grids)
         return told(experiment, solution, beside.belief, grids, **more)
     solution = beside.solution
@@ -147,7 +154,7 @@ def decided(
         number, ties = simplest(scores, criteria.grid, criteria)
         t = finalists[number]
         return step_of(
-            experiment, Beside(t.solution, t.predictive, round_.beside.gain), grids,
+            experiment, Beside(t.solution, t.predictive, round_.beside.gain), grids, criteria,
             added=(t.effect,), ties=ties, table=table_of(round_, t.effect, ties),
         )  # fmt: skip
 
@@ -231,12 +238,12 @@ def discover(
             say(f"{count} measurements do not move with their neighbours: left out as {FAULT}")
             experiment.problems.clear()
             now = assimilated(experiment, now.belief, spacing, criteria=criteria, say=say)
-            done(step_of(experiment, now, grids, added=(FAULT,)))
+            done(step_of(experiment, now, grids, criteria, added=(FAULT,)))
     if not steps:
-        done(step_of(experiment, now, grids))
-    elif now.gain == 0.0 and not steps[-1].explained and steps[-1].spacing > grids.deciding:
+        done(step_of(experiment, now, grids, criteria))
+    elif not steps[-1].explained and steps[-1].spacing > grids.deciding and is_free(now, criteria):
         # What is near the data on the coarse grid is asked on the one that decides.
-        better = step_of(experiment, now, grids, added=steps[-1].added, ties=steps[-1].ties)
+        better = step_of(experiment, now, grids, criteria, added=steps[-1].added, ties=steps[-1].ties)
         steps[-1] = replace(better, table=steps[-1].table, warnings=steps[-1].warnings)
     while not steps[-1].explained and len(steps[-1].belief.terms) < criteria.largest_model:
         if names is not None and set(names) <= set(steps[-1].belief.effects):

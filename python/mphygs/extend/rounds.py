@@ -55,22 +55,23 @@ class Round:
 
 def gains_of(experiment: Experiment) -> tuple[float, ...]:
     """Gains of the feedback from a memory of 2 / fps to none; no feedback where the transfer has none."""
-    return (1.0, 0.1, 0.0) if experiment.settings.transfer == TOTAL_LAGRANGIAN else (0.0,)
+    return (1.0, 0.1, 0.01, 0.0) if experiment.settings.transfer == TOTAL_LAGRANGIAN else (0.0,)
 
 
 def is_near(experiment: Experiment, problem: Problem, evaluation: Evaluation, criteria: Criteria) -> bool:
-    """Whether a model is near the data (see `Criteria.near`)."""
+    """Whether tangents say what a model lacks (see `Criteria.share`)."""
     if evaluation.misfit < criteria.near:
         return True
+    off = moved = 0.0
     for name, (first, last) in problem.ranges.items():
-        position = experiment.observations[name].position[first:last]
-        if not np.isfinite(position).any():
-            continue
-        motion = position - np.nanmean(position, axis=0)
-        off = position - evaluation.positions[name][first:last]
-        if np.nanmean(off**2) > criteria.share**2 * np.nanmean(motion**2):
-            return False
-    return True
+        observation = experiment.observations[name]
+        position = observation.position[first:last]
+        seen = np.isfinite(position).all(-1)
+        place = np.where(seen[..., None], position, 0.0)
+        mean = place.sum(0) / np.maximum(seen.sum(0), 1)[:, None]
+        off += np.sum((position - evaluation.positions[name][first:last])[seen] ** 2) / observation.sigma**2
+        moved += np.sum((position - mean)[seen] ** 2) / observation.sigma**2
+    return bool(off <= criteria.share**2 * moved)
 
 
 def assimilated(
@@ -95,9 +96,10 @@ def assimilated(
                 belief if found is None else found.belief,
                 iterations=8 if found is None else 3,
                 relative_tolerance=ACCURACY,
-                dwell=None if found is None else (1, criteria.near),
             )
             far = not is_near(experiment, problem, solution.evaluation, criteria)
+            if gain == 0.0:
+                far = solution.evaluation.misfit > criteria.near
             if found is not None and far:
                 break
             compared = experiment.compare(solution.belief, spacing, jacobian=False, gain=gain)
@@ -147,7 +149,7 @@ def held_round(
     )
     round_ = Round(beside, found, tuple(tried))
     paying = _paying(round_, criteria)
-    beside_data = [t for t in paying if is_near(experiment, problem, t.solution.evaluation, criteria)]
+    beside_data = [t for t in paying if t.predictive.misfit[0] < criteria.near]
     if not beside_data:
         # More is missing: only feedback tells them apart.
         return replace(round_, finalists=tuple(paying))
@@ -155,8 +157,7 @@ def held_round(
     running = [t for t in freed if t.struck is None]
     for t in running:
         say("  {} free: {:.3f} sigma fitted, {:.3f} unseen".format(t.effect, *t.free_predictive.misfit))
-    plain = experiment.problem(spacing)
-    near = [t for t in running if is_near(experiment, plain, t.free.evaluation, criteria)]
+    near = [t for t in running if t.free_predictive.misfit[0] < criteria.near]
     if not near:
         return replace(round_, finalists=tuple(paying))
     near.sort(key=lambda t: -t.free_predictive.log_score.sum())
