@@ -15,8 +15,6 @@ WINDOWS = ((5, 3), (10, 3), (15, 3), (25, 2))
 ITERATIONS = 150
 # A line of progress after so many iterations.
 REPORT_EVERY = 10
-# What these effects do depends on what was before: a window that begins in mid-motion does not know it.
-WITH_MEMORY = ("relaxation", "plasticity")
 
 
 @dataclass(frozen=True)
@@ -83,10 +81,8 @@ def window_frames(
 def check_windows(names: Iterable[str]) -> None:
     """Raises ValueError, one line, for an effect that windows in mid-motion cannot fit."""
     for name in names:
-        why = ""
-        if name in WITH_MEMORY:
-            why = "depends on what was before a window"
-        elif effect(name).kind == "measurement":
-            why = "is a fault of the measurement, from which the windows take their states"
-        if why:
-            raise ValueError(f"--schedule paper: the effect '{name}' {why}; expected --schedule fast for it")
+        if effect(name).fault:
+            raise ValueError(
+                f"--schedule paper: the effect '{name}' is a fault of the measurement, from which the windows "
+                "take their states; expected --schedule fast for it"
+            )

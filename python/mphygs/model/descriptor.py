@@ -5,7 +5,7 @@ General code reads this and knows no effect by name. Effects in C++ say the same
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 # The part that a number plays, and so how it is tried:
 #   strength   how much of the effect there is: absent at its null, where the derivative tells of it
@@ -15,11 +15,13 @@ from dataclasses import dataclass, field
 #   flow       x, y or z of a velocity that another number, the strength, multiplies
 #   anchor     x, y or z of a point in space that a material point is tied to
 #   offset     of a plane direction . x = offset
-#   frequency  [Hz], phase [rad] of that frequency
-#   pulse      1: of the wave 0 <= 2 pi frequency t + phase <= pi alone; 0: all of it
+#   frequency  [Hz]
+#   phase      [rad] of that frequency
+#   switch     0 or 1, each a form of the effect
 #   constant   given by the user
 VECTORS = ("direction", "axis", "flow", "anchor")
-ROLES = ("strength", "level", *VECTORS, "offset", "frequency", "phase", "pulse", "constant")
+SCANNED = ("level", *VECTORS, "offset", "frequency", "phase", "switch")
+ROLES = ("strength", *SCANNED, "constant")
 
 
 @dataclass(frozen=True)
@@ -77,14 +79,14 @@ class EffectSpec:
     carries_gravity: they are the gravity that the rest shape carries, switched on by a belief's prestress;
     not_with_mls: why the MLS-MPM transfer cannot have it, empty where it can; settings: what its term needs
     besides numbers, of "place", "part" and "axis"; replaces: its null is no absence, for it takes the place of
-    what the parts say.
+    what the parts say. Raises ValueError for a vector that has not three components.
     """
 
     name: str
     summary: str
     kind: str
     site: str
-    parameters: tuple[ParameterSpec, ...] = field(default_factory=tuple)
+    parameters: tuple[ParameterSpec, ...] = ()
     history: int = 0
     loads_at_rest: bool = False
     corrects_gravity: bool = False
@@ -93,10 +95,23 @@ class EffectSpec:
     settings: tuple[str, ...] = ()
     replaces: bool = False
 
+    def __post_init__(self) -> None:
+        for role in VECTORS:
+            own = self.of_role(role)
+            if len(own) not in (0, 3):
+                raise ValueError(
+                    f"effect {self.name}: {len(own)} numbers are of role {role}, expected x, y and z"
+                )
+
     @property
     def fitted(self) -> tuple[ParameterSpec, ...]:
         """The parameters that a fit changes."""
         return tuple(p for p in self.parameters if p.fitted)
+
+    @property
+    def threshold(self) -> bool:
+        """Whether its derivative is zero where it is absent, so that only finite values show it."""
+        return self.kind == "threshold"
 
     @property
     def fault(self) -> bool:
@@ -112,6 +127,12 @@ class EffectSpec:
     def placed(self) -> bool:
         """Whether it acts at one place of the object."""
         return "place" in self.settings
+
+    @property
+    def scanned(self) -> dict[str, tuple[ParameterSpec, ...]]:
+        """Its numbers that are tried over many values, by role: where it is absent no derivative tells of
+        them. What `settings` names is tried as well."""
+        return {role: own for role in SCANNED if (own := self.of_role(role))}
 
     def of_role(self, role: str) -> tuple[ParameterSpec, ...]:
         """Its parameters that play a part."""

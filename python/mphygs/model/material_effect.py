@@ -34,13 +34,13 @@ class MaterialChange:
 
 
 class Points(Protocol):
-    """What a material effect may know of the object. points: (B, 8, 3) [m]; part: (B,) of each block;
-    centroid: (parts, 3) [m]; part_names: of the parts."""
+    """What a material effect may know of the object. points: (B, 8, 3) [m]; point_part: (B, 8) index of each
+    one's part; centroid: (parts, 3) [m]; part_names: of the parts."""
 
     @property
     def points(self) -> np.ndarray: ...
     @property
-    def part(self) -> np.ndarray: ...
+    def point_part(self) -> np.ndarray: ...
     @property
     def centroid(self) -> np.ndarray: ...
     @property
@@ -85,4 +85,4 @@ def arm_in_part(settings: Mapping[str, object], object_: Points) -> np.ndarray:
     part = object_.part_names.index(str(settings["part"]))
     axis = np.asarray(settings["axis"], float)
     arm = (object_.points - object_.centroid[part]) @ (axis / np.linalg.norm(axis))
-    return np.where(object_.part[:, None] == part, arm, 0.0)
+    return np.where(object_.point_part == part, arm, 0.0)

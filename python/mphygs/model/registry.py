@@ -19,7 +19,9 @@ from mphygs.model.descriptor import EffectSpec, ParameterSpec
 from mphygs.model.fault import Fault
 from mphygs.model.material_effect import MaterialEffect
 
-__all__ = ["EffectSpec", "ParameterSpec", "effect", "effects", "register"]
+__all__ = [
+    "USUAL_LAW", "EffectSpec", "ParameterSpec", "effect", "effects", "faults", "laws", "material_effects", "register",
+]  # fmt: skip
 
 Kind = TypeVar("Kind", Fault, MaterialEffect)
 
@@ -63,6 +65,8 @@ def laws() -> tuple[str, ...]:
     known = _core.laws()
     return tuple(law["name"] for law in sorted(known, key=lambda law: not law["usual"]))
 
+
+USUAL_LAW = laws()[0]
 
 _USER: dict[str, EffectSpec] = {}
 
