@@ -73,10 +73,10 @@ def with_placed_effect(belief: Belief, name: str, capture: Capture, sequences: S
     """The belief with an effect added; what it needs besides numbers comes from the object.
 
     A point mass: that of a known load, where there is one (see `masses_of_loads`). Else a place: that of the
-    marker farthest from the holds. A part: the largest. An axis:
-    that part's longest; so is a direction. What multiplies a flow has its usual size: a flow has no derivative
-    where that is absent. Raises ValueError for an effect that is there already, and for one without any
-    derivative where it is absent: those are found by trials.
+    marker farthest from the holds, with an anchor there. A part: the largest. An axis or a direction: that
+    part's longest. What multiplies a flow has its usual size: a flow has no derivative where that is absent.
+    Raises ValueError for an effect that is there already, and for one without any derivative where it is
+    absent: those are found by trials.
     """
     spec = effect(name)
     if spec.threshold or spec.fault and not spec.fitted:

@@ -1,6 +1,7 @@
 """What an effect says of itself: where it acts, its numbers, and the part that each of them plays.
 
-General code reads this and knows no effect by name. Effects in C++ say the same (cpp/include/mphygs/descriptor.hpp).
+General code reads this and knows no effect by name. Effects in C++ say the same: see
+cpp/include/mphygs/descriptor.hpp.
 """
 
 from __future__ import annotations
@@ -60,9 +61,7 @@ class ParameterSpec:
                     f"{self.upper}"
                 )
         if self.role == "level" and not self.lower > 0.0:
-            raise ValueError(
-                f"parameter {self.name}: lower is {self.lower}, expected a level's above zero"
-            )
+            raise ValueError(f"parameter {self.name}: lower is {self.lower}, expected a level's above zero")
 
     @property
     def range(self) -> tuple[float, float]:
@@ -78,8 +77,8 @@ class EffectSpec:
     where the rest shape is an equilibrium; corrects_gravity: its three numbers add to gravity;
     carries_gravity: they are the gravity that the rest shape carries, switched on by a belief's prestress;
     not_with_mls: why the MLS-MPM transfer cannot have it, empty where it can; settings: what its term needs
-    besides numbers, of "place", "part" and "axis"; replaces: its null is no absence, for it takes the place of
-    what the parts say. Raises ValueError for a vector that has not three components.
+    besides numbers, of "place", "part" and "axis"; replaces: its null is no absence, for it takes the place
+    of what the parts say. Raises ValueError for a vector that has not three components.
     """
 
     name: str

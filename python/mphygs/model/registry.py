@@ -20,7 +20,8 @@ from mphygs.model.fault import Fault
 from mphygs.model.material_effect import MaterialEffect
 
 __all__ = [
-    "USUAL_LAW", "EffectSpec", "ParameterSpec", "effect", "effects", "faults", "laws", "material_effects", "register",
+    "USUAL_LAW", "EffectSpec", "ParameterSpec", "core_parameter_nulls", "core_parameter_offsets", "effect",
+    "effects", "faults", "laws", "material_effects", "point_parameter_offsets", "register",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", Fault, MaterialEffect)

@@ -99,9 +99,7 @@ def _effect_numbers(belief: Belief, body: Body, material: PointFields) -> np.nda
     for name in active:
         if effect(name).carries_gravity:
             numbers[offsets[name] : offsets[name] + 3] = body.towards(carried)
-    return _core.complete(
-        numbers, list(active), material.youngs_modulus.min(), body.quadrature.spacing.min()
-    )
+    return _core.complete(numbers, list(active), material.youngs_modulus.min(), body.quadrature.spacing.min())
 
 
 def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.ndarray]:

@@ -175,7 +175,8 @@ class Predictor:
         if self.recording.loads or lifted:
             force = self._loads(timeline)
             for name in lifted:
-                force = force + belief[f"{name}.{effect(name).parameters[0].name}"].value * self._lift(belief, name, timeline)
+                (mass,) = belief.values_of(name).values()
+                force = force + mass * self._lift(belief, name, timeline)
             fields["node_force"] = force
         return fields
 
