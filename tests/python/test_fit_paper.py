@@ -42,7 +42,8 @@ def test_windows_stand_one_after_the_other_from_where_motion_begins() -> None:
     assert window_frames(stage, (20, 26), None) == [(20, 21, 25)]
     assert window_frames(replace(stage, length=None, count=1), (4, 30), 2) == [(None, 4, 30)]
     # With all of the motion before them, the same frames count but for the one whose state would be given.
-    assert window_frames(stage, (0, 50), None, from_rest=True) == [(None, 0, 5), (None, 5, 10), (None, 10, 15)]
+    whole = window_frames(stage, (0, 50), None, from_rest=True)
+    assert whole == [(None, 0, 5), (None, 5, 10), (None, 10, 15)]
     assert [s.frames for s in paper_plan(0.01, {"a": (0, 12)}, from_rest=True)] == [5 + 10 + 12, 10 + 12, 12]
 
 
@@ -148,7 +149,8 @@ def test_what_a_window_remembers_survives() -> None:
     recording = replace(plain.recording, markers=markers)
     capture = replace(plain.capture, sequences=(recording,))
     one = Predictor(capture, recording, plain.settings)
-    problem = Problem(capture, one.settings, {"a": (0, 16)}, {"a": observe(recording, one.attachment)}, {"a": one})
+    observations = {"a": observe(recording, one.attachment)}
+    problem = Problem(capture, one.settings, {"a": (0, 16)}, observations, {"a": one})
     stage = PaperStage("", 0.01, 5, 3, 15)
     remembering, forgetting = (
         paper._Batch.of(problem, stage, from_rest=from_rest).measure(truth)[0] for from_rest in (True, False)
