@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from bar_capture import bar_belief, bar_capture
+from mphygs.fit.placement import with_placed_effect
 from mphygs.model import user_effect
 from mphygs.model.registry import ParameterSpec, effect, effects
 from mphygs.model.user_effect import UserEffect, load_plugin, register_effect
@@ -71,6 +72,36 @@ class Everything(UserEffect):
         return parameters["a"] * stretch * along * 1e4 * state.volume[:, None] - damping
 
 
+class Brake(UserEffect):
+    """Braked above a speed, not below it."""
+
+    name = "brake"
+    kind = "threshold"
+    parameters = (
+        ParameterSpec("limit", "m/s", 1e3, 1e-4, 1e3, 0.1, role="level", scan=(1e-2, 1.0)),
+        ParameterSpec("beta", "1/s", 20.0, 0.0, 1e3, 10.0, fitted=False),
+    )
+
+    def force(self, state, parameters):
+        speed = (state.velocity.square().sum(-1, keepdim=True) + 1e-12).sqrt()
+        beyond = torch.relu(speed - parameters["limit"])
+        return -parameters["beta"] * state.mass[:, None] * beyond / speed * state.velocity
+
+
+class Along(UserEffect):
+    """A steady pull along an axis."""
+
+    name = "along"
+    parameters = (
+        ParameterSpec("pull", "m/s^2", 0.0, -10.0, 10.0, 1.0),
+        *(ParameterSpec(f"n_{a}", "-", 0.0, -1.0, 1.0, 1.0, fitted=False, role="axis") for a in "xyz"),
+    )
+
+    def force(self, state, parameters):
+        axis = torch.stack([parameters[f"n_{a}"] for a in "xyz"])
+        return parameters["pull"] * state.mass[:, None] * axis
+
+
 @pytest.fixture(autouse=True)
 def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The effects above, and nothing left of them afterwards."""
@@ -78,7 +109,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
     monkeypatch.setattr(registry, "_USER", {})
     monkeypatch.setattr(user_effect, "_IMPLEMENTATIONS", {})
-    for cls in (ExtraWeight, Stiffer, Everything):
+    for cls in (ExtraWeight, Stiffer, Everything, Brake, Along):
         register_effect(cls)
     yield
 
@@ -159,6 +190,41 @@ def test_a_candidate_at_its_null_is_scored_like_any_other() -> None:
     ratio = -effect("extra_weight").parameters[0].scale / effect("gravity").parameters[2].scale
     np.testing.assert_allclose(got.jacobian[..., 0], ratio * got.jacobian[..., 1], atol=1e-13)
     assert np.abs(got.jacobian[..., 0]).max() > 1e-4
+
+
+def test_a_threshold_tells_how_it_is_tried_and_has_a_derivative_where_it_acts() -> None:
+    spec = effect("brake")
+    assert spec.threshold and not spec.history and not spec.fault
+    assert {role: [p.name for p in own] for role, own in spec.scanned.items()} == {"level": ["limit"]}
+    assert spec.scanned["level"][0].range == (1e-2, 1.0)
+    one = predictor()
+    base = belief(one)
+    with pytest.raises(ValueError, match="a fit cannot start from its absence"):
+        with_placed_effect(base, "brake", one.capture, ("a",))
+    null = base.with_effect("brake")
+    absent = one.predict(null, keys=("brake.limit",), substep=2e-4)
+    np.testing.assert_array_equal(absent.position, one.predict(base, substep=2e-4).position)
+    assert not absent.jacobian.any()
+    # A level is fitted in its logarithm, as a yield stress is.
+    model = base.with_effect("brake", {"limit": 0.05})
+    assert model["brake.limit"].log
+    got = one.predict(model, keys=("brake.limit",), substep=2e-4)
+    (place,) = np.flatnonzero([p.key == "brake.limit" for p in model.free])
+    step = np.zeros(len(model.free))
+    step[place] = 1e-5
+    sides = [one.predict(model.at(model.coordinates + s * step), substep=2e-4).position for s in (1, -1)]
+    slope = (sides[0] - sides[1]) / 2e-5
+    assert np.abs(slope).max() > 1e-6
+    np.testing.assert_allclose(got.jacobian[..., 0], slope, atol=1e-4 * np.abs(slope).max())
+
+
+def test_an_axis_begins_along_the_largest_part() -> None:
+    one = predictor()
+    model = with_placed_effect(belief(one), "along", one.capture, ("a",))
+    axis = [model[f"along.n_{a}"].value for a in "xyz"]
+    assert np.linalg.norm(axis) == pytest.approx(1.0) and np.isclose(np.abs(axis), 1.0).any()
+    assert model["along.pull"].value == 0.0 and model["along.pull"].free
+    assert np.abs(one.predict(model, keys=("along.pull",), substep=2e-4).jacobian).max() > 1e-4
 
 
 @pytest.mark.parametrize("budget", [2 << 30, 120_000], ids=["roomy", "tight"])
