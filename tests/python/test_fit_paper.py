@@ -145,7 +145,7 @@ def test_what_a_window_remembers_survives() -> None:
     _, belief, plain = swing(TRANSFERS[0])
     truth = belief.with_effect("relaxation", {"ratio": 2.0, "tau": 0.03})
     shown = plain.predict(truth).position
-    markers = replace(plain.recording.markers, positions=shown)
+    markers = replace(plain.recording.markers, position=shown)
     recording = replace(plain.recording, markers=markers)
     capture = replace(plain.capture, sequences=(recording,))
     one = Predictor(capture, recording, plain.settings)
@@ -214,7 +214,7 @@ def test_the_command_resumes_to_the_same_numbers(tmp_path: Path, monkeypatch: py
 def test_options_that_do_not_go_together_are_told(tmp_path: Path) -> None:
     capture = make_capture(tmp_path / "capture")
     for options, words in (
-        (["--effects", "relaxation"], "depends on what was before a window"),
+        (["--effects", "time_offset"], "is a fault of the measurement"),
         (["--optimiser", "lbfgs"], "whose optimiser is adam"),
     ):
         code, out, err = call(fit, capture, "--schedule", "paper", "--out", tmp_path / "run", *options)
