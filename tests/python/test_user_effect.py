@@ -21,6 +21,7 @@ from mphygs.simulate.body import core_model
 from mphygs.simulate.fields import primal
 from mphygs.simulate.op import UserTerms, rollout
 from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.simulate.settings import check_effects
 
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
 
@@ -294,6 +295,12 @@ def test_registration_says_that_it_is_slower(caplog: pytest.LogCaptureFixture) -
 def test_a_class_that_lacks_something_is_refused(changes: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         register_effect(type("Other", (ExtraWeight,), changes))
+
+
+def test_effects_in_python_are_refused_where_particles_carry_the_motion() -> None:
+    with pytest.raises(ValueError, match="'stiffer': not with --transfer mls, for it has no effects"):
+        check_effects("mls", ["stiffer"])
+    check_effects("total-lagrangian", ["stiffer"])
 
 
 def test_a_class_without_a_function_is_refused() -> None:
