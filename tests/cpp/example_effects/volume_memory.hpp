@@ -17,8 +17,9 @@ struct VolumeMemory {
     static constexpr int uniform_count = 2;
     template <class S>
     static void uniforms(const S* p, typename ScalarOf<S>::type, typename ScalarOf<S>::type dt, S* q) {
-        q[0] = exponential(-dt / p[1]);
-        q[1] = p[0];
+        const S half = exponential(-(typename ScalarOf<S>::type(0.5) * dt) / p[1]);
+        q[0] = half * half;
+        q[1] = p[0] * half;
     }
     /// History: 0 p, 1 ln J before the substep, 2 whether that was ever set. P += p F^-T
     template <class S>
