@@ -84,18 +84,22 @@ inline std::vector<bool> to_active(const py::list& names) {
     return active;
 }
 
+inline mphygs::Law to_law(const std::string& name) {
+    std::string known;
+    for (int i = 0; i < mphygs::AllLaws::count; ++i) {
+        if (name == mphygs::AllLaws::names[i]) {
+            return static_cast<mphygs::Law>(i);
+        }
+        known += (i > 0 ? ", " : "") + std::string(mphygs::AllLaws::names[i]);
+    }
+    throw py::value_error("law '" + name + "': expected one of " + known);
+}
+
 inline mphygs::Settings to_settings(const py::dict& d) {
     reject_unknown(d, {"law", "active", "threads", "memory_budget", "displacement_limit"}, "settings");
     mphygs::Settings s;
     if (d.contains("law")) {
-        const auto law = d["law"].cast<std::string>();
-        if (law == "neo-hookean") {
-            s.law = mphygs::Law::neo_hookean;
-        } else if (law == "fixed-corotated") {
-            s.law = mphygs::Law::fixed_corotated;
-        } else {
-            throw py::value_error("law '" + law + "': expected neo-hookean or fixed-corotated");
-        }
+        s.law = to_law(d["law"].cast<std::string>());
     }
     s.active = to_active(d.contains("active") ? py::list(d["active"]) : py::list());
     if (d.contains("threads")) {

@@ -159,13 +159,13 @@ Equilibrium::Direction Equilibrium::adjoint(const std::vector<double>& deformati
                 return;
             }
             D parameters[max_effect_parameters], q[uniform_count<E>()];
-            for (int k = 0; k < E::info.parameter_count; ++k) {
+            for (int k = 0; k < E::info.parameter_count(); ++k) {
                 parameters[k] = D(fields_.effect[static_cast<std::size_t>(s.parameter + k)]);
                 parameters[k].d[k] = 1;
             }
             effect_uniforms<E>(parameters, 0.0, 1.0, q);
             for (int j = 0; j < uniform_count<E>(); ++j) {
-                for (int k = 0; k < E::info.parameter_count; ++k) {
+                for (int k = 0; k < E::info.parameter_count(); ++k) {
                     out.fields.effect[static_cast<std::size_t>(s.parameter + k)] +=
                         uniform_bar[static_cast<std::size_t>(s.uniform + j)] * q[j].d[k];
                 }

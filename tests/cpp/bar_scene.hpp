@@ -188,7 +188,7 @@ Fields<T> fields_at_rest(const BarOptions& o, const Geometry& g, const Schedule&
     }
     Registry::each([&](auto tag, int) {
         using E = typename decltype(tag)::type;
-        for (int k = 0; k < E::info.parameter_count; ++k) {
+        for (int k = 0; k < E::info.parameter_count(); ++k) {
             f.effect.push_back(static_cast<T>(E::info.parameters[k].null));
         }
     });
@@ -245,7 +245,7 @@ inline void stir(Bar& bar, unsigned seed) {
         using E = typename decltype(tag)::type;
         const bool active = bar.model->settings().active.size() > static_cast<std::size_t>(i) &&
                             bar.model->settings().active[static_cast<std::size_t>(i)];
-        for (int p = 0; p < E::info.parameter_count; ++p, ++k) {
+        for (int p = 0; p < E::info.parameter_count(); ++p, ++k) {
             f.effect[k] = active ? trial_value(E::info, p) : E::info.parameters[p].null;
             if (E::info.site == Site::point) {
                 at_place.push_back(f.effect[k]);

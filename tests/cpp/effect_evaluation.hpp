@@ -44,11 +44,11 @@ std::vector<S> evaluate(const std::vector<S>& inputs, Law law, bool active = tru
     const EffectSlot slot = slots[static_cast<std::size_t>(index_in_registry<E>())];
     std::vector<S> parameters(static_cast<std::size_t>(Registry::parameter_count));
     std::vector<S> uniforms(static_cast<std::size_t>(Registry::total_uniform_count));
-    for (int k = 0; k < E::info.parameter_count; ++k) {
+    for (int k = 0; k < E::info.parameter_count(); ++k) {
         parameters[static_cast<std::size_t>(slot.parameter + k)] = inputs[static_cast<std::size_t>(k)];
     }
     all_uniforms(slots, parameters.data(), test_time, test_dt, uniforms.data());
-    const S* next = inputs.data() + E::info.parameter_count;
+    const S* next = inputs.data() + E::info.parameter_count();
     const auto matrix = [&next] {
         Mat3<S> m;
         for (int i = 0; i < 9; ++i) {
@@ -105,10 +105,10 @@ std::vector<S> evaluate(const std::vector<S>& inputs, Law law, bool active = tru
         Registry::each([&](auto tag, int) {
             using Other = typename decltype(tag)::type;
             if constexpr (Other::info.site == Site::point) {
-                for (int k = 0; std::is_same_v<Other, E> && k < E::info.parameter_count; ++k) {
+                for (int k = 0; std::is_same_v<Other, E> && k < E::info.parameter_count(); ++k) {
                     all[static_cast<std::size_t>(offset + k)] = inputs[static_cast<std::size_t>(k)];
                 }
-                offset += Other::info.parameter_count;
+                offset += Other::info.parameter_count();
             }
         });
         put(evaluate_point(slots, all.data(), p));
@@ -130,7 +130,7 @@ struct EffectInputs {
 template <class E>
 EffectInputs effect_parameters(bool null) {
     EffectInputs inputs;
-    for (int k = 0; k < E::info.parameter_count; ++k) {
+    for (int k = 0; k < E::info.parameter_count(); ++k) {
         const double value = null ? E::info.parameters[k].null : trial_value(E::info, k);
         inputs.add(broadcast<double>(value), E::info.parameters[k].scale);
     }

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <string_view>
 
 #include "mphygs/effect.hpp"
 
@@ -13,9 +12,8 @@ namespace mphygs::test {
 /// more than a turn, where the weight of a pulse counts, and that weight is small: the wave is left to see.
 inline double trial_value(const EffectInfo& effect, int k) {
     const ParameterInfo& p = effect.parameters[k];
-    const std::string_view name = p.name;
-    if (name == "phase" || name == "pulse") {
-        return name == "phase" ? 6.283185307179586 + 0.7 * p.scale : 0.1;
+    if (p.role == Role::phase || p.role == Role::switch_) {
+        return p.role == Role::phase ? 6.283185307179586 + 0.7 * p.scale : 0.1;
     }
     const double value = effect.threshold ? p.scale : p.null + 0.7 * p.scale;
     return std::clamp(value, p.lower, p.upper);

@@ -32,7 +32,7 @@ inline std::size_t effect_index(const std::string& name) {
 inline std::size_t parameter_of(std::size_t effect) {
     std::size_t at = 0;
     for (std::size_t i = 0; i < effect; ++i) {
-        at += static_cast<std::size_t>(Registry::infos[i]->parameter_count);
+        at += static_cast<std::size_t>(Registry::infos[i]->parameter_count());
     }
     return at;
 }
@@ -86,7 +86,7 @@ MlsCase<T> mls_case(std::array<int, 3> shape, std::vector<int> steps, bool hold)
     }
     f.gravity = {number(0.5), number(-0.3), number(-9.81)};
     for (const EffectInfo* e : Registry::infos) {
-        for (int k = 0; k < e->parameter_count; ++k) {
+        for (int k = 0; k < e->parameter_count(); ++k) {
             f.effect.push_back(number(trial_value(*e, k)));
         }
     }
@@ -94,11 +94,11 @@ MlsCase<T> mls_case(std::array<int, 3> shape, std::vector<int> steps, bool hold)
     for (const EffectInfo* e : Registry::infos) {
         if (e->site == Site::point) {
             for (int p = 0; p < 2; ++p) {
-                for (int k = 0; k < e->parameter_count; ++k) {
+                for (int k = 0; k < e->parameter_count(); ++k) {
                     f.place_effect.push_back(number(k == 0 ? 5.0 : 0.01 * k));
                 }
             }
-            point_parameters += static_cast<std::size_t>(e->parameter_count);
+            point_parameters += static_cast<std::size_t>(e->parameter_count());
         }
     }
     EXPECT_EQ(f.place_effect.size(), 2 * point_parameters);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <set>
 #include <string>
+#include <vector>
 
 #include "effect_evaluation.hpp"
 
@@ -11,7 +12,15 @@ namespace mphygs {
 namespace {
 
 using P = Pack<double>;
-constexpr Law laws[] = {Law::neo_hookean, Law::fixed_corotated};
+/// Every law of the build.
+std::vector<Law> all_laws() {
+    std::vector<Law> all;
+    for (int i = 0; i < AllLaws::count; ++i) {
+        all.push_back(static_cast<Law>(i));
+    }
+    return all;
+}
+const std::vector<Law> laws = all_laws();
 
 template <class R>
 struct TypesOf;
@@ -34,22 +43,32 @@ TYPED_TEST(Effect, DescribesItself) {
     constexpr const EffectInfo& info = TypeParam::info;
     EXPECT_GT(std::string(info.name).size(), 0u);
     EXPECT_GT(std::string(info.summary).size(), 0u);
-    ASSERT_GT(info.parameter_count, 0);
-    ASSERT_LE(info.parameter_count, max_effect_parameters);
+    ASSERT_GT(info.parameter_count(), 0);
     std::set<std::string> names;
-    for (int k = 0; k < info.parameter_count; ++k) {
+    for (int k = 0; k < info.parameter_count(); ++k) {
         const ParameterInfo& p = info.parameters[k];
-        ASSERT_TRUE(p.name != nullptr && p.unit != nullptr) << k;
+        ASSERT_NE(p.unit, nullptr) << p.name;
         EXPECT_TRUE(names.insert(p.name).second) << p.name << " twice";
         EXPECT_GT(std::string(p.unit).size(), 0u) << p.name;
         EXPECT_LT(p.lower, p.upper) << p.name;
         EXPECT_LE(p.lower, p.null) << p.name;
         EXPECT_LE(p.null, p.upper) << p.name;
         EXPECT_GT(p.scale, 0) << p.name;
+        EXPECT_LE(p.low, p.high) << p.name;
+        EXPECT_TRUE((p.low == 0 && p.high == 0) || (p.lower <= p.low && p.high <= p.upper)) << p.name << " is tried beyond its bounds";
+        EXPECT_TRUE(p.role != Role::level || (p.low > 0 && p.lower > 0)) << p.name << ": a level is tried from low > 0 to high";
+        const bool vector = p.role == Role::direction || p.role == Role::axis || p.role == Role::flow || p.role == Role::anchor;
+        int together = 0;
+        for (int i = 0; i < info.parameter_count(); ++i) {
+            together += info.parameters[i].role == p.role;
+        }
+        EXPECT_TRUE(!vector || together == 3) << p.name << ": expected three components";
     }
-    for (int k = info.parameter_count; k < max_effect_parameters; ++k) {
-        EXPECT_EQ(info.parameters[k].name, nullptr) << "more parameters than parameter_count";
+    double q[max_effect_parameters] = {};
+    for (int k = 0; k < info.parameter_count(); ++k) {
+        q[k] = info.parameters[k].null;
     }
+    EXPECT_EQ(stiffness_factor<TypeParam>(q), 1.0) << "a null that changes the substep";
     EXPECT_TRUE(info.site == Site::volume || (info.history_count == 0 && !info.needs_rate)) << "only volume points carry these";
 }
 
@@ -131,7 +150,7 @@ TYPED_TEST(Effect, TangentAgreesWithCentralDifferences) {
                         largest = std::max(largest, std::abs(slopes[i][q]));
                     }
                 }
-                if (static_cast<int>(k) < E::info.parameter_count) {
+                if (static_cast<int>(k) < E::info.parameter_count()) {
                     EXPECT_GT(largest, 0.0) << "nothing depends on " << E::info.parameters[k].name;
                 }
             }
@@ -179,7 +198,7 @@ TYPED_TEST(Effect, AdjointIsTheTransposeOfTheTangent) {
                     EXPECT_NEAR(adjoint[q], sum, 1e-11 * size) << "input " << k << ", lane " << q;
                     depends |= adjoint[q] != 0;
                 }
-                if (static_cast<int>(k) < E::info.parameter_count) {
+                if (static_cast<int>(k) < E::info.parameter_count()) {
                     EXPECT_TRUE(depends) << "no gradient by " << E::info.parameters[k].name;
                 }
             }
@@ -200,7 +219,7 @@ TEST(Registry, NamesAreUniqueAndSlotsDoNotOverlap) {
         EXPECT_EQ(s.parameter, parameter);
         EXPECT_EQ(s.uniform, uniform);
         EXPECT_EQ(s.history, history);
-        parameter += E::info.parameter_count;
+        parameter += E::info.parameter_count();
         uniform += uniform_count<E>();
         history += E::info.history_count;
     });

@@ -13,23 +13,25 @@ using F = Fields<double>;
 const Schedule schedule{{9, 12}, {1e-4, 8e-5}, 0.01};
 
 bool may_be_added(const EffectInfo& info) {
-    const bool fitted = std::any_of(info.parameters, info.parameters + info.parameter_count, [](const ParameterInfo& p) { return p.fitted; });
+    const bool fitted = std::any_of(info.parameters, info.parameters + info.parameter_count(), [](const ParameterInfo& p) { return p.fitted; });
     return fitted && (info.site == Site::volume || info.site == Site::surface || info.site == Site::body) && !info.threshold;
 }
 
 /// Parameters with which an effect does nothing yet and its strength still shows: constants away from their null.
 std::vector<double> at_null(std::size_t first, const EffectInfo& info, const std::vector<double>& others) {
     std::vector<double> effect = others;
-    for (int p = 0; p < info.parameter_count; ++p) {
+    for (int p = 0; p < info.parameter_count(); ++p) {
         const bool constant = !info.parameters[p].fitted || info.parameters[p].null != 0.0;
         effect[first + static_cast<std::size_t>(p)] = info.parameters[p].null;
         if (constant) {
             effect[first + static_cast<std::size_t>(p)] += 0.3 * info.parameters[p].scale;
         }
     }
-    if (std::string(info.name) == "wind") {
-        effect[first] = 2.0;
-        effect[first + 1] = -3.0;
+    const double flow[] = {2.0, -3.0, 0.0};
+    for (int p = 0, k = 0; p < info.parameter_count(); ++p) {
+        if (info.parameters[p].role == Role::flow) {
+            effect[first + static_cast<std::size_t>(p)] = flow[k++];
+        }
     }
     return effect;
 }
@@ -38,7 +40,7 @@ std::vector<double> at_null(std::size_t first, const EffectInfo& info, const std
 void expect_added_as_active(bool beside, bool prestressed) {
     const std::vector<std::string> own = {"viscosity", "relaxation", "stiffening", "air_drag", "eigenstrain"};
     std::size_t first = 0;
-    for (int e = 0; e < Registry::count; first += static_cast<std::size_t>(Registry::infos[e++]->parameter_count)) {
+    for (int e = 0; e < Registry::count; first += static_cast<std::size_t>(Registry::infos[e++]->parameter_count())) {
         const EffectInfo& info = *Registry::infos[e];
         if (!may_be_added(info)) {
             continue;
@@ -63,7 +65,7 @@ void expect_added_as_active(bool beside, bool prestressed) {
         F all = b.fields;
         all.effect = effect;
         double largest = 0;
-        for (int p = 0; p < info.parameter_count; ++p) {
+        for (int p = 0; p < info.parameter_count(); ++p) {
             F direction;
             direction.effect.assign(effect.size(), 0.0);
             direction.effect[first + static_cast<std::size_t>(p)] = 1.0;
@@ -98,7 +100,7 @@ TEST(Added, EachHasConstantsOfItsOwn) {
     std::size_t first = 0;
     int e = 0;
     while (std::string(Registry::infos[e]->name) != "relaxation") {
-        first += static_cast<std::size_t>(Registry::infos[e++]->parameter_count);
+        first += static_cast<std::size_t>(Registry::infos[e++]->parameter_count());
     }
     settings.active = test::only_active({});
     whole.active = test::only_active({e});

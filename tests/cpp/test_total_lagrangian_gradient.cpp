@@ -98,7 +98,7 @@ std::vector<NamedDirection> directions(const test::Bar& bar) {
     std::size_t k = 0, at_place = 0;
     Registry::each([&](auto tag, int i) {
         using E = typename decltype(tag)::type;
-        for (int p = 0; p < E::info.parameter_count; ++p, ++k) {
+        for (int p = 0; p < E::info.parameter_count(); ++p, ++k) {
             const bool point = E::info.site == Site::point;
             at_place += point;
             if (!active[static_cast<std::size_t>(i)] || E::info.site == Site::mass) {
@@ -226,7 +226,7 @@ TEST_P(Gradient, AnEffectAtItsNullLeavesTheMotion) {
     std::vector<double> null_at_place;
     Registry::each([&](auto tag, int) {
         using E = typename decltype(tag)::type;
-        for (int p = 0; p < E::info.parameter_count && E::info.site == Site::point; ++p) {
+        for (int p = 0; p < E::info.parameter_count() && E::info.site == Site::point; ++p) {
             null_at_place.push_back(E::info.parameters[p].null);
         }
     });

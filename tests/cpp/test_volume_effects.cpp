@@ -29,7 +29,7 @@ struct Point {
                 on |= name == info->name;
             }
             active.push_back(on);
-            for (int k = 0; k < info->parameter_count; ++k) {
+            for (int k = 0; k < info->parameter_count(); ++k) {
                 parameters.push_back(info->parameters[k].null);
             }
         }
@@ -40,7 +40,7 @@ struct Point {
     double& parameter(const std::string& effect, const std::string& name) {
         std::size_t k = 0;
         for (const EffectInfo* info : Registry::infos) {
-            for (int i = 0; i < info->parameter_count; ++i, ++k) {
+            for (int i = 0; i < info->parameter_count(); ++i, ++k) {
                 if (effect == info->name && name == info->parameters[i].name) {
                     return parameters[k];
                 }

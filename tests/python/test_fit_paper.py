@@ -15,10 +15,11 @@ from mphygs.capture.format import Capture
 from mphygs.compare.noise import observe
 from mphygs.fit import paper
 from mphygs.fit.__main__ import main as fit
-from mphygs.fit.paper_plan import PaperStage, check_windows, paper_plan, window_frames
+from mphygs.fit.paper_plan import PaperStage, check_windows, paper_plan, remembers, window_frames
 from mphygs.fit.problem import Problem
 from mphygs.fit.window_start import start_at
 from mphygs.model.belief import Belief
+from mphygs.model.registry import faults
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 from mphygs.simulate.settings import Settings
@@ -40,9 +41,13 @@ def test_windows_stand_one_after_the_other_from_where_motion_begins() -> None:
     # A range that begins in mid-motion does not see the start at all; what is too short is no window.
     assert window_frames(stage, (20, 26), None) == [(20, 21, 25)]
     assert window_frames(replace(stage, length=None, count=1), (4, 30), 2) == [(None, 4, 30)]
+    # With all of the motion before them, the same frames count but for the one whose state would be given.
+    whole = window_frames(stage, (0, 50), None, from_rest=True)
+    assert whole == [(None, 0, 5), (None, 5, 10), (None, 10, 15)]
+    assert [s.frames for s in paper_plan(0.01, {"a": (0, 12)}, from_rest=True)] == [5 + 10 + 12, 10 + 12, 12]
 
 
-@pytest.mark.parametrize("name", ["relaxation", "plasticity", "time_offset", "frame_drift"])
+@pytest.mark.parametrize("name", [fault.name for fault in faults()])
 def test_effects_that_windows_cannot_fit_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"--schedule paper: the effect '{name}' .*expected --schedule fast"):
         check_windows(["viscosity", name])
@@ -136,6 +141,30 @@ def test_windows_find_youngs_modulus_from_far_off(transfer: str, monkeypatch: py
     assert any("3 windows of 5 frames: iteration 20 of 25" in line for line in told)
 
 
+def test_what_a_window_remembers_survives() -> None:
+    _, belief, plain = swing(TRANSFERS[0])
+    truth = belief.with_effect("relaxation", {"ratio": 2.0, "tau": 0.03})
+    shown = plain.predict(truth).position
+    markers = replace(plain.recording.markers, position=shown)
+    recording = replace(plain.recording, markers=markers)
+    capture = replace(plain.capture, sequences=(recording,))
+    one = Predictor(capture, recording, plain.settings)
+    observations = {"a": observe(recording, one.attachment)}
+    problem = Problem(capture, one.settings, {"a": (0, 16)}, observations, {"a": one})
+    stage = PaperStage("", 0.01, 5, 3, 15)
+    remembering, forgetting = (
+        paper._Batch.of(problem, stage, from_rest=from_rest).measure(truth)[0] for from_rest in (True, False)
+    )
+    prior = 0.5 * float((problem.prior_rows(truth)[0] ** 2).sum())
+    assert remembering - prior < 1e-6 * (forgetting - prior)
+    # The whole schedule finds what only a motion with its past tells.
+    start = truth.with_parameter("relaxation.ratio", value=0.5)
+    assert remembers(start.effects) and not remembers(belief.effects)
+    cost, gradient = paper._Batch.of(problem, stage, from_rest=True).measure(start)
+    ratio = [p.key for p in start.free].index("relaxation.ratio")
+    assert cost > 100.0 * remembering and gradient[ratio] < 0.0
+
+
 def test_windows_side_by_side_take_a_core_each_and_give_them_back(monkeypatch: pytest.MonkeyPatch) -> None:
     capture, belief, one = swing(TRANSFERS[0])
     observations = {"a": observe(one.recording, one.attachment)}
@@ -185,7 +214,7 @@ def test_the_command_resumes_to_the_same_numbers(tmp_path: Path, monkeypatch: py
 def test_options_that_do_not_go_together_are_told(tmp_path: Path) -> None:
     capture = make_capture(tmp_path / "capture")
     for options, words in (
-        (["--effects", "relaxation"], "depends on what was before a window"),
+        (["--effects", "time_offset"], "is a fault of the measurement"),
         (["--optimiser", "lbfgs"], "whose optimiser is adam"),
     ):
         code, out, err = call(fit, capture, "--schedule", "paper", "--out", tmp_path / "run", *options)

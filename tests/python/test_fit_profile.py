@@ -74,7 +74,7 @@ def test_a_prior_narrows_its_own_parameters_interval() -> None:
 
 
 def test_components_of_a_direction_have_no_interval(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(determined, "DIRECTIONS", (KEYS,))
+    monkeypatch.setattr(determined, "_directions", lambda: [KEYS])
     assert intervals(Formula(), belief_at(0.5, 0.5)) == {}
     one = belief_at(0.5, 0.5).with_parameter(KEYS[1], free=False)
     assert list(intervals(Formula(), one)) == [KEYS[0]]

@@ -256,10 +256,10 @@ def test_effects_that_it_cannot_have_are_refused_by_name(monkeypatch: pytest.Mon
     belief = bar_belief(capture).with_effect("hold_compliance")
     with pytest.raises(ValueError, match="'hold_compliance': not with --transfer mls, for it imposes"):
         predictor(capture).predict(belief)
-    own = EffectSpec("mine", "an effect in Python", "smooth", "user")
+    own = EffectSpec("mine", "an effect of one's own", "smooth", "body", not_with_mls="it is mine")
     known = effects()
     monkeypatch.setattr("mphygs.simulate.settings.effects", lambda: known | {"mine": own})
-    with pytest.raises(ValueError, match="'mine': not with --transfer mls, for it has no effects in Python"):
+    with pytest.raises(ValueError, match="'mine': not with --transfer mls, for it is mine; expected"):
         check_effects("mls", ["mine"])
     check_effects("total-lagrangian", ["mine", "hold_compliance"])
 

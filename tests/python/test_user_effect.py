@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from bar_capture import bar_belief, bar_capture
+from mphygs.fit.placement import with_placed_effect
 from mphygs.model import user_effect
 from mphygs.model.registry import ParameterSpec, effect, effects
 from mphygs.model.user_effect import UserEffect, load_plugin, register_effect
@@ -20,6 +21,7 @@ from mphygs.simulate.body import core_model
 from mphygs.simulate.fields import primal
 from mphygs.simulate.op import UserTerms, rollout
 from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.simulate.settings import check_effects
 
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
 
@@ -71,6 +73,36 @@ class Everything(UserEffect):
         return parameters["a"] * stretch * along * 1e4 * state.volume[:, None] - damping
 
 
+class Brake(UserEffect):
+    """Braked above a speed, not below it."""
+
+    name = "brake"
+    kind = "threshold"
+    parameters = (
+        ParameterSpec("limit", "m/s", 1e3, 1e-4, 1e3, 0.1, role="level", scan=(1e-2, 1.0)),
+        ParameterSpec("beta", "1/s", 20.0, 0.0, 1e3, 10.0, fitted=False),
+    )
+
+    def force(self, state, parameters):
+        speed = (state.velocity.square().sum(-1, keepdim=True) + 1e-12).sqrt()
+        beyond = torch.relu(speed - parameters["limit"])
+        return -parameters["beta"] * state.mass[:, None] * beyond / speed * state.velocity
+
+
+class Along(UserEffect):
+    """A steady pull along an axis."""
+
+    name = "along"
+    parameters = (
+        ParameterSpec("pull", "m/s^2", 0.0, -10.0, 10.0, 1.0),
+        *(ParameterSpec(f"n_{a}", "-", 0.0, -1.0, 1.0, 1.0, fitted=False, role="axis") for a in "xyz"),
+    )
+
+    def force(self, state, parameters):
+        axis = torch.stack([parameters[f"n_{a}"] for a in "xyz"])
+        return parameters["pull"] * state.mass[:, None] * axis
+
+
 @pytest.fixture(autouse=True)
 def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The effects above, and nothing left of them afterwards."""
@@ -78,7 +110,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
     monkeypatch.setattr(registry, "_USER", {})
     monkeypatch.setattr(user_effect, "_IMPLEMENTATIONS", {})
-    for cls in (ExtraWeight, Stiffer, Everything):
+    for cls in (ExtraWeight, Stiffer, Everything, Brake, Along):
         register_effect(cls)
     yield
 
@@ -161,6 +193,41 @@ def test_a_candidate_at_its_null_is_scored_like_any_other() -> None:
     assert np.abs(got.jacobian[..., 0]).max() > 1e-4
 
 
+def test_a_threshold_tells_how_it_is_tried_and_has_a_derivative_where_it_acts() -> None:
+    spec = effect("brake")
+    assert spec.threshold and not spec.history and not spec.fault
+    assert {role: [p.name for p in own] for role, own in spec.scanned.items()} == {"level": ["limit"]}
+    assert spec.scanned["level"][0].range == (1e-2, 1.0)
+    one = predictor()
+    base = belief(one)
+    with pytest.raises(ValueError, match="a fit cannot start from its absence"):
+        with_placed_effect(base, "brake", one.capture, ("a",))
+    null = base.with_effect("brake")
+    absent = one.predict(null, keys=("brake.limit",), substep=2e-4)
+    np.testing.assert_array_equal(absent.position, one.predict(base, substep=2e-4).position)
+    assert not absent.jacobian.any()
+    # A level is fitted in its logarithm, as a yield stress is.
+    model = base.with_effect("brake", {"limit": 0.05})
+    assert model["brake.limit"].log
+    got = one.predict(model, keys=("brake.limit",), substep=2e-4)
+    (place,) = np.flatnonzero([p.key == "brake.limit" for p in model.free])
+    step = np.zeros(len(model.free))
+    step[place] = 1e-5
+    sides = [one.predict(model.at(model.coordinates + s * step), substep=2e-4).position for s in (1, -1)]
+    slope = (sides[0] - sides[1]) / 2e-5
+    assert np.abs(slope).max() > 1e-6
+    np.testing.assert_allclose(got.jacobian[..., 0], slope, atol=1e-4 * np.abs(slope).max())
+
+
+def test_an_axis_begins_along_the_largest_part() -> None:
+    one = predictor()
+    model = with_placed_effect(belief(one), "along", one.capture, ("a",))
+    axis = [model[f"along.n_{a}"].value for a in "xyz"]
+    assert np.linalg.norm(axis) == pytest.approx(1.0) and np.isclose(np.abs(axis), 1.0).any()
+    assert model["along.pull"].value == 0.0 and model["along.pull"].free
+    assert np.abs(one.predict(model, keys=("along.pull",), substep=2e-4).jacobian).max() > 1e-4
+
+
 @pytest.mark.parametrize("budget", [2 << 30, 120_000], ids=["roomy", "tight"])
 def test_adjoint_and_tangent_through_the_operation(budget: int) -> None:
     one = predictor()
@@ -228,6 +295,12 @@ def test_registration_says_that_it_is_slower(caplog: pytest.LogCaptureFixture) -
 def test_a_class_that_lacks_something_is_refused(changes: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         register_effect(type("Other", (ExtraWeight,), changes))
+
+
+def test_effects_in_python_are_refused_where_particles_carry_the_motion() -> None:
+    with pytest.raises(ValueError, match="'stiffer': not with --transfer mls, for it has no effects"):
+        check_effects("mls", ["stiffer"])
+    check_effects("total-lagrangian", ["stiffer"])
 
 
 def test_a_class_without_a_function_is_refused() -> None:

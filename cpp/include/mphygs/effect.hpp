@@ -23,39 +23,17 @@
 // q are the effect's parameters, or, where it declares `uniform_count`, what
 //            static void uniforms(const S* parameters, R time, R dt, S* q)
 // makes of them once per substep (exponentials, harmonics).
+//
+// All of `info`, and what else an effect may say of itself, is in descriptor.hpp.
 #pragma once
 
 #include <concepts>
 #include <cstddef>
 
+#include "mphygs/descriptor.hpp"
 #include "mphygs/material.hpp"
 
 namespace mphygs {
-
-enum class Site : int { volume, body, surface, point, mass, hold };
-
-inline constexpr int max_effect_parameters = 8;
-
-struct ParameterInfo {
-    const char* name;
-    const char* unit;
-    double null;
-    double lower;
-    double upper;
-    double scale;  // a usual size: prior scale and size of trial steps
-    bool fitted;   // false: a constant that the user gives
-};
-
-struct EffectInfo {
-    const char* name;
-    const char* summary;
-    Site site;
-    bool threshold;     // its derivative at the null is zero: only finite trials show it
-    bool needs_rate;    // reads the rate of deformation
-    int history_count;  // numbers carried per point
-    int parameter_count;
-    ParameterInfo parameters[max_effect_parameters];
-};
 
 /// A quadrature point or particle, eight at a time.
 template <class S>
@@ -67,7 +45,7 @@ struct VolumePoint {
     Mat3<S> factor;       // elastic = deformation * factor
     bool strained = false;
     S mu, lambda;         // [Pa]
-    Law law = Law::neo_hookean;
+    Law law = usual_law;
     Mat3<S> stress;       // first Piola-Kirchhoff stress [Pa]
     Vec3<S> acceleration;  // further body force per mass [m/s^2]
     const S* history = nullptr;  // of this effect, before the substep
@@ -109,7 +87,7 @@ constexpr int uniform_count() {
     if constexpr (requires { E::uniform_count; }) {
         return E::uniform_count;
     } else {
-        return E::info.parameter_count;
+        return E::info.parameter_count();
     }
 }
 
@@ -118,7 +96,7 @@ inline void effect_uniforms(const S* parameters, typename ScalarOf<S>::type time
     if constexpr (requires { E::uniform_count; }) {
         E::uniforms(parameters, time, dt, q);
     } else {
-        for (int i = 0; i < E::info.parameter_count; ++i) {
+        for (int i = 0; i < E::info.parameter_count(); ++i) {
             q[i] = parameters[i];
         }
     }
@@ -174,7 +152,7 @@ template <class... E>
 struct Effects {
     static constexpr int count = sizeof...(E);
     static constexpr const EffectInfo* infos[sizeof...(E)] = {&E::info...};
-    static constexpr int parameter_count = (0 + ... + E::info.parameter_count);
+    static constexpr int parameter_count = (0 + ... + E::info.parameter_count());
     static constexpr int total_uniform_count = (0 + ... + uniform_count<E>());
 
     /// Calls f(effect type tag, index) for every effect.

@@ -81,7 +81,7 @@ struct Schedule {
 };
 
 struct Settings {
-    Law law = Law::neo_hookean;
+    Law law = usual_law;
     std::vector<bool> active;       // per effect of the registry
     int threads = 1;
     std::size_t memory_budget = std::size_t(2) << 30;  // of the adjoint's checkpoints [byte]

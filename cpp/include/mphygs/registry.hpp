@@ -23,7 +23,7 @@ inline Slots make_slots(const std::vector<bool>& active) {
         s.parameter = parameter;
         s.uniform = uniform;
         s.active = static_cast<std::size_t>(i) < active.size() && active[static_cast<std::size_t>(i)];
-        parameter += E::info.parameter_count;
+        parameter += E::info.parameter_count();
         uniform += uniform_count<E>();
         if (s.active) {
             s.history = history;
@@ -31,6 +31,38 @@ inline Slots make_slots(const std::vector<bool>& active) {
         }
     });
     return slots;
+}
+
+/// By how much the active effects multiply the stiffness that bounds the substep. parameters: of all effects.
+inline double all_stiffness_factors(const Slots& slots, const double* parameters) {
+    double factor = 1.0;
+    Registry::each([&](auto tag, int i) {
+        const EffectSlot& s = slots[static_cast<std::size_t>(i)];
+        if (s.active) {
+            factor *= stiffness_factor<typename decltype(tag)::type>(parameters + s.parameter);
+        }
+    });
+    return factor;
+}
+
+/// Makes the parameters of the active effects those of their worst cases.
+inline void all_worst_cases(const Slots& slots, double* parameters) {
+    Registry::each([&](auto tag, int i) {
+        const EffectSlot& s = slots[static_cast<std::size_t>(i)];
+        if (s.active) {
+            worst_case<typename decltype(tag)::type>(parameters + s.parameter);
+        }
+    });
+}
+
+/// Chooses what the active effects choose themselves.
+inline void complete_all(const Slots& slots, double* parameters, const ObjectScales& of) {
+    Registry::each([&](auto tag, int i) {
+        const EffectSlot& s = slots[static_cast<std::size_t>(i)];
+        if (s.active) {
+            complete<typename decltype(tag)::type>(parameters + s.parameter, of);
+        }
+    });
 }
 
 struct ActiveSites {
@@ -48,7 +80,7 @@ inline ActiveSites active_sites(const Slots& slots) {
     Registry::each([&](auto tag, int i) {
         using E = typename decltype(tag)::type;
         if constexpr (E::info.site == Site::point) {
-            a.point_parameters += E::info.parameter_count;
+            a.point_parameters += E::info.parameter_count();
         }
         if (!slots[static_cast<std::size_t>(i)].active) {
             return;
@@ -244,7 +276,7 @@ inline Vec3<S> evaluate_point(const Slots& slots, const S* parameters, const Mat
             if (slots[static_cast<std::size_t>(i)].active) {
                 f = f + E::force(p, parameters + offset);
             }
-            offset += E::info.parameter_count;
+            offset += E::info.parameter_count();
         }
     });
     return f;

@@ -13,9 +13,10 @@ from mphygs.fit.start import with_effect
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effects
 from mphygs.simulate.body import Body
-from mphygs.simulate.fields import GRADIENTS
 from mphygs.simulate.settings import impossible_effects
 
+# Effects that make a material differ from place to place.
+GRADIENTS = tuple(name for name, spec in effects().items() if "axis" in spec.settings)
 # Relaxation times [s] whose tangents are tried; the refit moves on from the best.
 RELAXATION_TIMES = (0.02, 0.1, 0.5)
 # Places of a point mass that the published shape bears, and of one that came later: it leans the object at

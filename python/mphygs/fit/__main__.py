@@ -29,12 +29,13 @@ from mphygs.fit.schedule import default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
-from mphygs.model.registry import effects
+from mphygs.model.registry import USUAL_LAW, effects, laws
 from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.settings import Settings, available_cores, check_effects
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
+Law = Literal[laws()]
 # Cells of material, eight points each, that tens of gigabytes hold.
 MOST_CELLS = 2e6
 # Options that change no number: a resumed fit may have others.
@@ -64,7 +65,7 @@ class FitOptions(CommonOptions):
     """Grid spacing [m]; default: from the object's volume."""
     prestress: Literal["off", "paper", "equilibrium"] | None = None
     """How the rest shape carries gravity; default: as the capture says."""
-    law: Literal["neo-hookean", "fixed-corotated"] = "neo-hookean"
+    law: Law = USUAL_LAW
     """Law of elasticity."""
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
     """Of the fast schedule: Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, slower for so few

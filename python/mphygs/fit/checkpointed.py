@@ -10,7 +10,7 @@ from functools import partial
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance
-from mphygs.fit.paper_plan import PaperStage, paper_plan
+from mphygs.fit.paper_plan import PaperStage, paper_plan, remembers
 from mphygs.fit.run import Run, StageRecord
 from mphygs.fit.schedule import Stage, fit_belief, plan_of
 
@@ -46,7 +46,7 @@ def fit_run(
     paper = schedule == "paper"
     spacing = run.settings.spacing
     plan: Sequence[Stage | PaperStage] = (
-        paper_plan(spacing, experiment.fitted)
+        paper_plan(spacing, experiment.fitted, from_rest=remembers(run.belief.effects))
         if paper
         else plan_of(experiment.capture, spacing, warm=warm, screening=screening)
     )

@@ -16,6 +16,7 @@ import numpy as np
 
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Parameter
+from mphygs.model.registry import effects
 
 # A direction is undetermined where the posterior's standard deviation is more than half of the prior's.
 LARGEST_SHARE = 0.25
@@ -25,8 +26,7 @@ USUAL_SIZES = 10.0
 SMALL = 0.05
 # Components below this share of a direction's largest are not named.
 SMALLEST_COMPONENT = 0.2
-# Parameters that are a direction together, and how surely its length is known to be one.
-DIRECTIONS = (("contact.n_x", "contact.n_y", "contact.n_z"),)
+# How surely the length of a direction, fitted as a vector of any length, is known to be one.
 CERTAIN = 1e-6
 
 
@@ -93,7 +93,13 @@ def determinations(
 def components(free: Sequence[Parameter]) -> set[str]:
     """Keys of those parameters that are a direction together, all of them free."""
     known = {p.key for p in free}
-    return {key for keys in DIRECTIONS if known.issuperset(keys) for key in keys}
+    return {key for keys in _directions() if known.issuperset(keys) for key in keys}
+
+
+def _directions() -> list[tuple[str, ...]]:
+    """Keys of parameters that are a direction together, whose length does not matter."""
+    found = ((name, spec.of_role("direction")) for name, spec in effects().items())
+    return [tuple(f"{name}.{p.name}" for p in own) for name, own in found if own]
 
 
 def of_unit_length(
@@ -105,7 +111,7 @@ def of_unit_length(
     """
     free, information, covariance = list(free), information.copy(), covariance.copy()
     place = {p.key: k for k, p in enumerate(free)}
-    for keys in DIRECTIONS:
+    for keys in _directions():
         at = [place.get(key, -1) for key in keys]
         vector = np.array([free[k].value for k in at if k >= 0])
         length = float(np.linalg.norm(vector))

@@ -1,5 +1,7 @@
 """The paper's fit: Adam on the adjoint, over windows that begin in mid-motion and then over all frames.
 
+A model with an effect that remembers simulates what was before a window as well.
+
 The loss is the paper's L_3D, the squared distance of predicted and measured points, over twice the variance
 of a coordinate's noise, so that priors weigh what they weigh in every fit.
 """
@@ -23,6 +25,7 @@ from mphygs.fit.paper_plan import (
     PaperStage,
     check_windows,
     paper_plan,
+    remembers,
     window_frames,
 )
 from mphygs.fit.problem import Problem
@@ -78,11 +81,13 @@ class _Batch:
     windows: tuple[_Window, ...]
 
     @classmethod
-    def of(cls, problem: Problem, stage: PaperStage) -> _Batch:
+    def of(cls, problem: Problem, stage: PaperStage, *, from_rest: bool = False) -> _Batch:
         windows = []
         for name, span in problem.ranges.items():
             predictor, observation = problem.predictors[name], problem.observations[name]
-            for at, first, last in window_frames(stage, span, predictor.recording.release):
+            for at, first, last in window_frames(
+                stage, span, predictor.recording.release, from_rest=from_rest
+            ):
                 start = None if at is None else start_at(predictor, observation, at)
                 windows.append(_Window(predictor, observation, start, first, last))
         return cls(problem, tuple(windows))
@@ -173,7 +178,8 @@ def fit_by_windows(
     if settings.spacing not in problems:
         problems[settings.spacing] = Problem(capture, settings, ranges, observations)
     problem = problems[settings.spacing].with_ranges(ranges)
-    plan = paper_plan(settings.spacing, ranges) if plan is None else plan
+    from_rest = remembers(belief.effects)
+    plan = paper_plan(settings.spacing, ranges, from_rest=from_rest) if plan is None else plan
     solution = None
     for number, stage in enumerate(plan):
         if number < start_stage:
@@ -183,7 +189,7 @@ def fit_by_windows(
             if report:
                 report(f"{stage.name}: iteration {iteration} of {ITERATIONS}, cost {cost:.4g}")
 
-        belief, history = adam(_Batch.of(problem, stage).measure, belief, tell)
+        belief, history = adam(_Batch.of(problem, stage, from_rest=from_rest).measure, belief, tell)
         evaluation = problem.evaluate(belief, jacobian=number + 1 == len(plan))
         solution = Solution(belief, evaluation, tuple(history), True, "iterations done")
         if after_stage:

@@ -15,8 +15,6 @@ WINDOWS = ((5, 3), (10, 3), (15, 3), (25, 2))
 ITERATIONS = 150
 # A line of progress after so many iterations.
 REPORT_EVERY = 10
-# What these effects do depends on what was before: a window that begins in mid-motion does not know it.
-WITH_MEMORY = ("relaxation", "plasticity")
 
 
 @dataclass(frozen=True)
@@ -41,27 +39,47 @@ class PaperStage:
         return float(self.frames)
 
 
-def paper_plan(spacing: float, ranges: Mapping[str, tuple[int, int]]) -> tuple[PaperStage, ...]:
-    """The stages at one spacing [m] for frames to fit per sequence; windows longer than all are left out."""
-    lengths = [last - first for first, last in ranges.values()]
+def remembers(names: Iterable[str]) -> bool:
+    """Whether what any of these effects does depends on what was before: markers do not tell that of a state
+    in mid-motion."""
+    return any(effect(name).history for name in names)
+
+
+def paper_plan(
+    spacing: float, ranges: Mapping[str, tuple[int, int]], *, from_rest: bool = False
+) -> tuple[PaperStage, ...]:
+    """The stages at one spacing [m] for frames to fit per sequence; windows longer than all are left out.
+
+    from_rest: as of `window_frames`.
+    """
+
+    def simulated(length: int, count: int, first: int, last: int) -> int:
+        if not from_rest:
+            return min(count * length, last - first)
+        ends = (min(first + (k + 1) * length, last) for k in range(count) if first + k * length < last)
+        return sum(ends)
+
+    longest = max(last - first for first, last in ranges.values())
     found = [
         PaperStage(
             f"{count} windows of {length} frames", spacing, length, count,
-            sum(min(count * length, n) for n in lengths),
+            sum(simulated(length, count, *span) for span in ranges.values()),
         )
         for length, count in WINDOWS
-        if length < max(lengths)
+        if length < longest
     ]  # fmt: skip
     return (*found, PaperStage("all frames", spacing, None, 1, sum(last for _, last in ranges.values())))
 
 
 def window_frames(
-    stage: PaperStage, span: tuple[int, int], release: int | None
+    stage: PaperStage, span: tuple[int, int], release: int | None, *, from_rest: bool = False
 ) -> list[tuple[int | None, int, int]]:
     """(start, first, last) of every window of one sequence.
 
-    span: frames to fit; release: frame at which motion begins, None for frame 0. start: frame in mid-motion
-    whose state begins the run, None where it begins at rest; first, last: frames [first, last) that count.
+    span: frames to fit; release: frame at which motion begins, None for frame 0; from_rest: no window begins
+    in mid-motion, but with all of the motion before it, for models that remember it. start: frame in
+    mid-motion whose state begins the run, None where it begins at rest; first, last: frames [first, last)
+    that count.
     """
     first, last = span
     begin = max(first, release or 0)
@@ -75,6 +93,8 @@ def window_frames(
             break
         if at <= (release or 0):
             found.append((None, first, end))
+        elif from_rest:
+            found.append((None, at, end))
         else:
             found.append((at, at + 1, end))
     return found
@@ -83,10 +103,8 @@ def window_frames(
 def check_windows(names: Iterable[str]) -> None:
     """Raises ValueError, one line, for an effect that windows in mid-motion cannot fit."""
     for name in names:
-        why = ""
-        if name in WITH_MEMORY:
-            why = "depends on what was before a window"
-        elif effect(name).kind == "measurement":
-            why = "is a fault of the measurement, from which the windows take their states"
-        if why:
-            raise ValueError(f"--schedule paper: the effect '{name}' {why}; expected --schedule fast for it")
+        if effect(name).fault:
+            raise ValueError(
+                f"--schedule paper: the effect '{name}' is a fault of the measurement, from which the "
+                "windows take their states; expected --schedule fast for it"
+            )

@@ -9,15 +9,14 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
 from mphygs.capture.meshes import Part
-from mphygs.fit.start import with_effect
+from mphygs.fit.start import starting_values
 from mphygs.model.belief import Belief
+from mphygs.model.descriptor import ParameterSpec
 from mphygs.model.registry import effect
 from mphygs.scene.closest import closest_material
-from mphygs.simulate.fields import GRADIENTS
 
-PLACED = ("attached_mass", "tether")
-# A flow or a yield stress has no derivative where it is absent: fits start from a usual value.
-_DRAG_COEFFICIENT = 1.0
+# What is tied to an anchor where it is begins with so much of its usual strength.
+_SLIGHT = 1e-3
 
 
 def principal_axis(part: Part) -> np.ndarray:
@@ -74,35 +73,40 @@ def with_placed_effect(belief: Belief, name: str, capture: Capture, sequences: S
     """The belief with an effect added; what it needs besides numbers comes from the object.
 
     A point mass: that of a known load, where there is one (see `masses_of_loads`). Else a place: that of the
-    marker farthest from the holds. A part: the largest. An axis:
-    that part's longest. Raises ValueError for an effect that is there already, and for one without any
-    derivative where it is absent: those are found by trials.
+    marker farthest from the holds, with an anchor there. A part: the largest. An axis or a direction: that
+    part's longest. What multiplies a flow has its usual size: a flow has no derivative where that is absent.
+    Raises ValueError for an effect that is there already, and for one without any derivative where it is
+    absent: those are found by trials.
     """
-    largest = max(capture.parts, key=lambda part: part.volume)
-    if effect(name).kind == "threshold" or name == "marker_outliers":
+    spec = effect(name)
+    if spec.threshold or spec.fault and not spec.fitted:
         raise ValueError(
             f"effect '{name}': a fit cannot start from its absence; "
             f"expected it to be added by: mphygs extend RUN {name}"
         )
-    hung = masses_of_loads(capture, sequences) if name == "attached_mass" else []
+    largest = max(capture.parts, key=lambda part: part.volume)
+    values, settings = starting_values(belief, name), {}
+    strengths = [p for p in spec.fitted if p.role == "strength"]
+    hung = masses_of_loads(capture, sequences) if spec.site == "mass" else []
     if hung:
-        return belief.with_effect(name, {}, hung[0])
-    if name in PLACED:
+        settings |= hung[0]
+    elif spec.placed:
         place = place_of_effect(capture, sequences)
-        values = {}
-        if name == "tether":
-            values = dict(zip(("anchor_x", "anchor_y", "anchor_z"), map(float, place), strict=True)) | {
-                "k": 1e-3
-            }
-        return belief.with_effect(name, values, {"place": place.tolist()})
-    if name in GRADIENTS:
-        return belief.with_effect(
-            name, settings={"part": largest.name, "axis": principal_axis(largest).tolist()}
-        )
-    if name == "fibre":
-        return belief.with_effect(
-            name, dict(zip(("a_x", "a_y", "a_z"), map(float, principal_axis(largest)), strict=True))
-        )
-    if name == "wind":
-        return belief.with_effect(name, {"c_d": _DRAG_COEFFICIENT})
-    return with_effect(belief, name)
+        settings["place"] = place.tolist()
+        if spec.of_role("anchor"):
+            values |= _components(spec.of_role("anchor"), place)
+            values |= {p.name: _SLIGHT * p.scale for p in strengths}
+    if "part" in spec.settings:
+        settings["part"] = largest.name
+    if "axis" in spec.settings:
+        settings["axis"] = principal_axis(largest).tolist()
+    for role in ("axis", "direction"):
+        values |= _components(spec.of_role(role), principal_axis(largest))
+    if spec.of_role("flow"):
+        values |= {p.name: p.scale for p in strengths}
+    return belief.with_effect(name, values, settings)
+
+
+def _components(parameters: Sequence[ParameterSpec], vector: np.ndarray) -> dict[str, float]:
+    """The components of a vector (3,) by the names of the parameters that stand for them, if any."""
+    return {p.name: float(v) for p, v in zip(parameters, vector, strict=False)}

@@ -8,6 +8,7 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.model.belief import Belief, Parameter
+from mphygs.model.registry import USUAL_LAW, material_effects
 
 # Soft tissue and plants to hard rubber; a prior this wide moves no number that the data determine.
 YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD = 1e5, 2.5
@@ -22,7 +23,7 @@ RELEASE_FRAMES = 2.0
 
 
 def starting_belief(
-    capture: Capture, *, effects: tuple[str, ...] = (), prestress: str | None = None, law: str = "neo-hookean"
+    capture: Capture, *, effects: tuple[str, ...] = (), prestress: str | None = None, law: str = USUAL_LAW
 ) -> Belief:
     """Materials of every part, free where the capture does not know them, and the named effects.
 
@@ -112,7 +113,9 @@ def starting_belief(
 
 def with_effect(belief: Belief, name: str) -> Belief:
     """An effect with sensible starting values; effects that need a place or direction get it elsewhere."""
-    if name == "compressibility":
-        ratios = [belief[f"{part}.poissons_ratio"].value for part in belief.parts]
-        return belief.with_effect(name, {"nu": float(np.mean(ratios))})
-    return belief.with_effect(name)
+    return belief.with_effect(name, starting_values(belief, name))
+
+
+def starting_values(belief: Belief, name: str) -> dict[str, float]:
+    """Values from which an effect starts in a belief, where these are not its nulls."""
+    return next((own.start(belief) for own in material_effects() if own.name == name), {})

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mphygs.model.registry import effect
+from mphygs.model.registry import USUAL_LAW, effect, laws
 
 PRESTRESS_MODES = ("off", "paper", "equilibrium")
-LAWS = ("neo-hookean", "fixed-corotated")
 
 
 @dataclass(frozen=True)
@@ -129,15 +128,15 @@ class Belief:
     parameters: tuple[Parameter, ...]
     terms: tuple[Term, ...] = ()
     prestress: str = "off"
-    law: str = "neo-hookean"
+    law: str = USUAL_LAW
     known_mass: float | None = None
     likenesses: tuple[Likeness, ...] = ()
 
     def __post_init__(self) -> None:
         if self.prestress not in PRESTRESS_MODES:
             raise ValueError(f"prestress '{self.prestress}': expected one of {', '.join(PRESTRESS_MODES)}")
-        if self.law not in LAWS:
-            raise ValueError(f"law '{self.law}': expected one of {', '.join(LAWS)}")
+        if self.law not in laws():
+            raise ValueError(f"law '{self.law}': expected one of {', '.join(laws())}")
         keys = [p.key for p in self.parameters]
         if len(set(keys)) != len(keys):
             raise ValueError("parameter keys must be unique")
@@ -172,6 +171,10 @@ class Belief:
             if term.name == name:
                 return term
         raise KeyError(name)
+
+    def values_of(self, name: str) -> dict[str, float]:
+        """The numbers of an effect in the model, by their names. Raises KeyError where it has none of it."""
+        return {p.name: self[f"{name}.{p.name}"].value for p in effect(name).parameters}
 
     @property
     def coordinates(self) -> np.ndarray:
@@ -219,7 +222,7 @@ class Belief:
         spec = effect(name)
         if name in self.effects:
             raise ValueError(f"effect '{name}' is in the model already")
-        if name == "prestress":
+        if spec.carries_gravity:
             return replace(self, prestress="equilibrium")
         added = []
         for p in spec.parameters:

@@ -6,114 +6,84 @@ those of the public list of effects.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from types import ModuleType
+from typing import TypeVar
 
 from mphygs import _core
+from mphygs.model import faults as fault_files
+from mphygs.model import material_effects as material_files
+from mphygs.model.descriptor import EffectSpec, ParameterSpec
+from mphygs.model.fault import Fault
+from mphygs.model.material_effect import MaterialEffect
+
+__all__ = [
+    "USUAL_LAW", "EffectSpec", "ParameterSpec", "core_parameter_nulls", "core_parameter_offsets", "effect",
+    "effects", "faults", "laws", "material_effects", "point_parameter_offsets", "register",
+]  # fmt: skip
+
+Kind = TypeVar("Kind", Fault, MaterialEffect)
 
 
-@dataclass(frozen=True)
-class ParameterSpec:
-    """One number of an effect. null: value at which the effect is absent; scale: a usual size."""
-
-    name: str
-    unit: str
-    null: float
-    lower: float
-    upper: float
-    scale: float
-    fitted: bool = True
-
-
-@dataclass(frozen=True)
-class EffectSpec:
-    """kind: "smooth", "threshold" or "measurement"; site: where it acts in the simulation."""
-
-    name: str
-    summary: str
-    kind: str
-    site: str
-    parameters: tuple[ParameterSpec, ...] = field(default_factory=tuple)
-
-    @property
-    def fitted(self) -> tuple[ParameterSpec, ...]:
-        """The parameters that a fit changes."""
-        return tuple(p for p in self.parameters if p.fitted)
-
-
-def _core_effects() -> list[EffectSpec]:
+@cache
+def _core_effects() -> tuple[EffectSpec, ...]:
     specs = []
     for entry in _core.effects():
-        parameters = tuple(ParameterSpec(**p) for p in entry["parameters"])
-        kind = "threshold" if entry["threshold"] else "smooth"
-        specs.append(EffectSpec(entry["name"], entry["summary"], kind, entry["site"], parameters))
-    return specs
+        known = dict(entry)
+        known["parameters"] = tuple(ParameterSpec(**p) for p in known["parameters"])
+        known["kind"] = "threshold" if known.pop("threshold") else "smooth"
+        known["settings"] = ("place",) if known["site"] in ("point", "mass") else ()
+        specs.append(EffectSpec(**known))
+    return tuple(specs)
 
 
-# Effects that change the fields of the material, not the equations of motion.
-_MATERIAL = (
-    EffectSpec(
-        "compressibility",
-        "Poisson's ratio differs from the assumed one",
-        "smooth",
-        "material",
-        (ParameterSpec("nu", "-", 0.3, 0.0, 0.495, 0.05),),
-    ),
-    EffectSpec(
-        "stiffness_gradient",
-        "Young's modulus of one part times exp(slope (X - centroid).axis)",
-        "smooth",
-        "material",
-        (ParameterSpec("slope", "1/m", 0.0, -1000.0, 1000.0, 10.0),),
-    ),
-    EffectSpec(
-        "density_gradient",
-        "density of one part times exp(slope (X - centroid).axis)",
-        "smooth",
-        "material",
-        (ParameterSpec("slope", "1/m", 0.0, -1000.0, 1000.0, 10.0),),
-    ),
-)
+def _found(folder: ModuleType, kind: type[Kind]) -> tuple[Kind, ...]:
+    """One of each class of a kind that the files of a folder define, in the order in which they act."""
+    classes = []
+    for file in sorted(m.name for m in iter_modules(folder.__path__)):
+        module = import_module(f"{folder.__name__}.{file}")
+        own = (c for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__)
+        classes += [c for c in own if issubclass(c, kind)]
+    return tuple(sorted((c() for c in classes), key=lambda e: e.order))
 
-# Faults of the measurement: they act on what is seen of the simulation, and when.
-_MEASUREMENT = (
-    EffectSpec(
-        "time_offset",
-        "frame k shows the state at k/fps + offset",
-        "measurement",
-        "measurement",
-        (ParameterSpec("offset", "s", 0.0, -1.0, 1.0, 0.01),),
-    ),
-    EffectSpec(
-        "length_scale",
-        "measured lengths are true ones times 1 + scale",
-        "measurement",
-        "measurement",
-        (ParameterSpec("scale", "-", 0.0, -0.5, 0.5, 0.01),),
-    ),
-    EffectSpec(
-        "frame_drift",
-        "rigid motion of the measuring frame",
-        "measurement",
-        "measurement",
-        tuple(ParameterSpec(f"v_{a}", "m/s", 0.0, -1.0, 1.0, 1e-3) for a in "xyz")
-        + tuple(ParameterSpec(f"w_{a}", "rad/s", 0.0, -1.0, 1.0, 1e-2) for a in "xyz"),
-    ),
-    EffectSpec(
-        "marker_outliers",
-        "some markers do not follow the object",
-        "measurement",
-        "measurement",
-        (ParameterSpec("count", "-", 0.0, 0.0, 1e6, 1.0, fitted=False),),
-    ),
-)
+
+@cache
+def faults() -> tuple[Fault, ...]:
+    """All faults of the measurement, in the order in which they act on what the simulation says."""
+    return _found(fault_files, Fault)
+
+
+@cache
+def material_effects() -> tuple[MaterialEffect, ...]:
+    """All effects that change the material, in the order in which they do."""
+    return _found(material_files, MaterialEffect)
+
+
+def laws() -> tuple[str, ...]:
+    """Names of the elastic laws of this build, the usual one first."""
+    known = _core.laws()
+    return tuple(law["name"] for law in sorted(known, key=lambda law: not law["usual"]))
+
+
+USUAL_LAW = laws()[0]
 
 _USER: dict[str, EffectSpec] = {}
 
 
 @cache
 def _built_in() -> dict[str, EffectSpec]:
-    return {spec.name: spec for spec in (*_core_effects(), *_MATERIAL, *_MEASUREMENT)}
+    material = (
+        EffectSpec(
+            e.name, e.summary, "smooth", "material", e.parameters, settings=e.settings, replaces=e.replaces
+        )
+        for e in material_effects()
+    )
+    measurement = (
+        EffectSpec(e.name, e.summary, "measurement", "measurement", e.parameters) for e in faults()
+    )
+    return {spec.name: spec for spec in (*_core_effects(), *material, *measurement)}
 
 
 def effects() -> dict[str, EffectSpec]:

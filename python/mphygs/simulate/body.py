@@ -90,6 +90,11 @@ class Body:
         return "total-lagrangian"
 
     @property
+    def points(self) -> np.ndarray:
+        """(B, 8, 3) quadrature points [m]."""
+        return self.quadrature.points
+
+    @property
     def point_part(self) -> np.ndarray:
         """(B, 8) part index of every point."""
         return np.repeat(self.quadrature.part[:, None], LANES, axis=1)

@@ -22,7 +22,7 @@ from scipy.sparse import bsr_matrix, csr_matrix
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.carried import Carriers
-from mphygs.simulate.measurement import unmeasured
+from mphygs.simulate.measurement import lateness, unmeasured
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Transfer
@@ -158,6 +158,4 @@ class Feedback:
 
 def _at_clock_of(belief: Belief, timeline: Timeline, fps: float) -> Timeline:
     """The timeline with its frames taken when a belief says, its intervals where they are."""
-    if "time_offset" not in belief.effects:
-        return timeline
-    return replace(timeline, clock=timeline.frames / fps + belief["time_offset.offset"].value)
+    return replace(timeline, clock=timeline.frames / fps + lateness(belief))

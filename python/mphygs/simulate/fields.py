@@ -2,42 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from mphygs import _core
 from mphygs.model.belief import Belief, Parameter
+from mphygs.model.material_effect import MaterialChange, PointFields
 from mphygs.model.materials import lame, lame_by_poissons_ratio
 from mphygs.model.registry import (
     core_parameter_nulls,
     core_parameter_offsets,
     effect,
+    effects,
+    material_effects,
     point_parameter_offsets,
 )
 from mphygs.simulate.body import LANES, Body
-
-# Effects that load the object at rest as well, where its rest shape is an equilibrium.
-STATIC_EFFECTS = ("gravity", "attached_mass", "tether", "wind")
-# Effects that make a material differ from place to place.
-GRADIENTS = ("stiffness_gradient", "density_gradient")
-
-
-@dataclass(frozen=True, eq=False)
-class PointFields:
-    """Material at every quadrature point, (B, 8): E [Pa], nu [-], density [kg/m^3]."""
-
-    youngs_modulus: np.ndarray
-    poissons_ratio: np.ndarray
-    density: np.ndarray
-
-
-def _gradient_arm(belief: Belief, body: Body, name: str) -> np.ndarray:
-    """(X - centroid).axis in the part of a gradient effect, zero elsewhere, (B, 8) [m]."""
-    settings = belief.term(name).settings
-    part = body.part_names.index(str(settings["part"]))
-    axis = np.asarray(settings["axis"], float)
-    arm = (body.quadrature.points - body.centroid[part]) @ (axis / np.linalg.norm(axis))
-    return np.where(body.quadrature.part[:, None] == part, arm, 0.0)
 
 
 def point_fields(belief: Belief, body: Body) -> PointFields:
@@ -47,24 +28,19 @@ def point_fields(belief: Belief, body: Body) -> PointFields:
     def by_part(quantity: str) -> np.ndarray:
         return np.array([belief[f"{name}.{quantity}"].value for name in body.part_names])[part]
 
-    youngs_modulus, density = by_part("youngs_modulus"), by_part("density")
-    poissons_ratio = by_part("poissons_ratio")
-    if "compressibility" in belief.effects:
-        poissons_ratio = np.full(part.shape, belief["compressibility.nu"].value)
-    if "stiffness_gradient" in belief.effects:
-        slope = belief["stiffness_gradient.slope"].value
-        youngs_modulus = youngs_modulus * np.exp(slope * _gradient_arm(belief, body, "stiffness_gradient"))
-    if "density_gradient" in belief.effects:
-        slope = belief["density_gradient.slope"].value
-        density = density * np.exp(slope * _gradient_arm(belief, body, "density_gradient"))
-    return PointFields(youngs_modulus, poissons_ratio, density)
+    material = PointFields(by_part("youngs_modulus"), by_part("poissons_ratio"), by_part("density"))
+    for own in material_effects():
+        if own.name in belief.effects:
+            settings = belief.term(own.name).settings
+            material = own.changed(material, belief.values_of(own.name), settings, body)
+    return material
 
 
 def core_effects(belief: Belief) -> tuple[str, ...]:
     """Names of the belief's effects that the compiled core computes."""
-    names = [t.name for t in belief.terms if effect(t.name).site not in ("material", "measurement", "user")]
+    names = [t.name for t in belief.terms if effect(t.name).in_core]
     if belief.prestress == "paper":
-        names.append("prestress")
+        names += [name for name, spec in effects().items() if spec.carries_gravity]
     return tuple(names)
 
 
@@ -83,45 +59,47 @@ def primal(belief: Belief, body: Body) -> dict[str, np.ndarray]:
     """All fields of the core but poses and forces, float64, without prestress."""
     material = point_fields(belief, body)
     mu, lam = lame(material.youngs_modulus, material.poissons_ratio)
-    effects = np.array(core_parameter_nulls())
-    offsets = core_parameter_offsets()
     place_offsets, place_count = point_parameter_offsets()
     count = len(places(belief))
     place_mass, place_effect = np.zeros(count), np.zeros((count, place_count))
     for term in belief.terms:
         spec = effect(term.name)
-        for k, p in enumerate(spec.parameters):
-            value = belief[f"{term.name}.{p.name}"].value
-            if spec.site == "mass":
-                place_mass[_place_index(belief, term.name)] = value
-            elif spec.site == "point":
-                place_effect[_place_index(belief, term.name), place_offsets[term.name] + k] = value
-            elif spec.site not in ("material", "measurement", "user"):
-                effects[offsets[term.name] + k] = value
-    if "contact" in belief.effects and belief["contact.stiffness"].value == 0.0:
-        # As stiff as a cell of the softest part: it sinks in by micrometres where flowers touch. Ten times as
-        # stiff, the material bounces from substep to substep and no derivative is left. Rounded, so that it
-        # is constant while Young's moduli are fitted.
-        stiffness = material.youngs_modulus.min() / body.quadrature.spacing.min()
-        effects[offsets["contact"] + 5] = 2.0 ** np.round(np.log2(stiffness))
-    if belief.prestress == "paper":
-        carried = np.array(belief.gravity, float)
-        if "gravity" in belief.effects:
-            carried = carried + [belief[f"gravity.delta_g_{a}"].value for a in "xyz"]
-        effects[offsets["prestress"] : offsets["prestress"] + 3] = body.towards(carried)
-    if "gravity" in belief.effects:
-        own = slice(offsets["gravity"], offsets["gravity"] + 3)
-        effects[own] = body.towards(effects[own])
+        values = list(belief.values_of(term.name).values())
+        if spec.site == "mass":
+            place_mass[_place_index(belief, term.name)] = values[0]
+        elif spec.site == "point":
+            first = place_offsets[term.name]
+            place_effect[_place_index(belief, term.name), first : first + len(values)] = values
     return {
         "mu": mu,
         "lambda": lam,
         "stress_volume": body.quadrature.volumes,
         "mass": material.density * body.quadrature.volumes,
-        "effect": effects,
+        "effect": _effect_numbers(belief, body, material),
         "place_mass": place_mass,
         "place_effect": place_effect,
         "gravity": body.towards(belief.gravity),
     }
+
+
+def _effect_numbers(belief: Belief, body: Body, material: PointFields) -> np.ndarray:
+    """The numbers of all core effects that have no place, in the order of the flat array."""
+    numbers, offsets = np.array(core_parameter_nulls()), core_parameter_offsets()
+    active = core_effects(belief)
+    carried = np.array(belief.gravity, float)
+    for name in active:
+        spec = effect(name)
+        if spec.placed or spec.carries_gravity:
+            continue
+        values = np.array(list(belief.values_of(name).values()))
+        if spec.corrects_gravity:
+            carried = carried + values
+            values = body.towards(values)
+        numbers[offsets[name] : offsets[name] + len(values)] = values
+    for name in active:
+        if effect(name).carries_gravity:
+            numbers[offsets[name] : offsets[name] + 3] = body.towards(carried)
+    return _core.complete(numbers, list(active), material.youngs_modulus.min(), body.quadrature.spacing.min())
 
 
 def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.ndarray]:
@@ -130,29 +108,22 @@ def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.
     Raises KeyError for a parameter that does not act through the simulation.
     """
     owner, quantity = parameter.key.rsplit(".", 1)
-    material = point_fields(belief, body)
-    mu, lam = lame(material.youngs_modulus, material.poissons_ratio)
-    mass = material.density * body.quadrature.volumes
     if owner in body.part_names:
         mask = body.point_part == body.part_names.index(owner)
         relative = parameter.slope / parameter.value if parameter.value else 0.0
         if quantity == "youngs_modulus":
-            return {"mu": mu * mask * relative, "lambda": lam * mask * relative}
+            return _through_material(belief, body, MaterialChange(youngs_modulus=mask), relative)
         if quantity == "density":
-            return {"mass": mass * mask * relative}
+            return _through_material(belief, body, MaterialChange(density=mask), relative)
         if quantity == "poissons_ratio":
-            d_mu, d_lam = lame_by_poissons_ratio(material.youngs_modulus, material.poissons_ratio)
-            return {"mu": d_mu * mask * parameter.slope, "lambda": d_lam * mask * parameter.slope}
+            return _through_material(belief, body, MaterialChange(poissons_ratio=mask), parameter.slope)
         raise KeyError(parameter.key)
     spec = effect(owner)
-    if owner == "compressibility":
-        d_mu, d_lam = lame_by_poissons_ratio(material.youngs_modulus, material.poissons_ratio)
-        return {"mu": d_mu * parameter.slope, "lambda": d_lam * parameter.slope}
-    if owner == "stiffness_gradient":
-        arm = _gradient_arm(belief, body, owner) * parameter.slope
-        return {"mu": mu * arm, "lambda": lam * arm}
-    if owner == "density_gradient":
-        return {"mass": mass * _gradient_arm(belief, body, owner) * parameter.slope}
+    for own in material_effects():
+        if own.name == owner:
+            settings = belief.term(owner).settings
+            change = own.derivative(quantity, belief.values_of(owner), settings, body)
+            return _through_material(belief, body, change, parameter.slope)
     index = [p.name for p in spec.parameters].index(quantity)
     if spec.site == "mass":
         out = np.zeros(len(places(belief)))
@@ -165,17 +136,36 @@ def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.
         return {"place_effect": out}
     if spec.site == "user":
         return {}  # the hook carries it
-    if spec.site == "measurement":
+    if spec.fault:
         raise KeyError(parameter.key)
     out = np.zeros(len(core_parameter_nulls()))
     first = core_parameter_offsets()
-    if owner == "gravity":
+    if spec.corrects_gravity:
         moved = parameter.slope * body.towards(np.eye(3)[index])
-        for name in ("gravity", "prestress") if belief.prestress == "paper" else ("gravity",):
+        carriers = (name for name in core_effects(belief) if effect(name).carries_gravity)
+        for name in (owner, *carriers):
             out[first[name] : first[name] + 3] = moved
     else:
         out[first[owner] + index] = parameter.slope
     return {"effect": out}
+
+
+def _through_material(
+    belief: Belief, body: Body, change: MaterialChange, slope: float
+) -> dict[str, np.ndarray]:
+    """Derivative of `primal` by what changes the material, slope times."""
+    material, out = point_fields(belief, body), {}
+    if change.youngs_modulus is not None:
+        mu, lam = lame(material.youngs_modulus, material.poissons_ratio)
+        stiffer = change.youngs_modulus * slope
+        out = {"mu": mu * stiffer, "lambda": lam * stiffer}
+    if change.poissons_ratio is not None:
+        by_ratio = lame_by_poissons_ratio(material.youngs_modulus, material.poissons_ratio)
+        for name, derivative in zip(("mu", "lambda"), by_ratio, strict=True):
+            out[name] = out.get(name, 0.0) + derivative * change.poissons_ratio * slope
+    if change.density is not None:
+        out["mass"] = material.density * body.quadrature.volumes * change.density * slope
+    return out
 
 
 def at_rest(belief: Belief) -> Belief:
@@ -184,7 +174,7 @@ def at_rest(belief: Belief) -> Belief:
     An effect whose term says `at_rest: False` came after the shape was taken.
     """
     terms = tuple(
-        t for t in belief.terms if not (t.name in STATIC_EFFECTS and not t.settings.get("at_rest", True))
+        t for t in belief.terms if t.settings.get("at_rest", True) or not effect(t.name).loads_at_rest
     )
     return replace(belief, terms=terms)
 

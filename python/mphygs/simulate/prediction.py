@@ -10,10 +10,11 @@ from threading import Event
 
 import numpy as np
 
+from mphygs import _core
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief, Parameter
-from mphygs.model.registry import core_parameter_offsets, effect
+from mphygs.model.registry import effect
 from mphygs.simulate.batches import Batch, Owned, batches_of
 from mphygs.simulate.body import Body, discretise, hold_boxes
 from mphygs.simulate.carried import Carriers
@@ -21,7 +22,7 @@ from mphygs.simulate.errors import Halted
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.fields import core_effects, direction, places, primal
 from mphygs.simulate.material_points import MaterialPoints
-from mphygs.simulate.measurement import measured
+from mphygs.simulate.measurement import lateness, measured
 from mphygs.simulate.particle_body import discretise_particles
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.scope import belief_of_sequence, in_scope, is_absent, stated_weights
@@ -129,13 +130,10 @@ class Predictor:
         """
         model = self.model_of(belief)
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
-        if "contact" in belief.effects:
-            # Everything touches, without friction: at such depths it would brake without bound.
-            first = core_parameter_offsets()["contact"]
-            fields["effect"][first], fields["effect"][first + 4] = 100.0, 0.0
+        active = list(core_effects(belief))
+        fields["effect"] = _core.worst_case(fields["effect"], active)
         stiffness, damping = self.transfer.largest_rates(model, fields, self._hook(belief, fields))
-        if "relaxation" in belief.effects:
-            stiffness *= 1.0 + belief["relaxation.ratio"].value
+        stiffness *= _core.stiffness_factor(fields["effect"], active)
         limit = (-damping + np.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
         return self.settings.safety * float(limit)
 
@@ -151,7 +149,7 @@ class Predictor:
             last,
             substep,
             release_shift=self.release_shift(belief),
-            late=belief["time_offset.offset"].value if "time_offset" in belief.effects else 0.0,
+            late=lateness(belief),
             first=None if start is None else start.frame,
         )
 
@@ -177,7 +175,8 @@ class Predictor:
         if self.recording.loads or lifted:
             force = self._loads(timeline)
             for name in lifted:
-                force = force + belief[f"{name}.m"].value * self._lift(belief, name, timeline)
+                (mass,) = belief.values_of(name).values()
+                force = force + mass * self._lift(belief, name, timeline)
             fields["node_force"] = force
         return fields
 
@@ -431,7 +430,7 @@ class Predictor:
 def moves_targets(parameter: Parameter) -> bool:
     """Whether a parameter changes where the measurement says that markers are: a fault of it."""
     try:
-        return effect(parameter.key.rsplit(".", 1)[0]).site == "measurement"
+        return effect(parameter.key.rsplit(".", 1)[0]).fault
     except KeyError:
         return False
 
@@ -442,6 +441,6 @@ def acts_in_simulation(parameter: Parameter) -> bool:
     if parameter.key.endswith(".release_shift"):
         return False
     try:
-        return effect(owner).site != "measurement"
+        return not effect(owner).fault
     except KeyError:
         return True

@@ -13,8 +13,6 @@ from mphygs.model.registry import effect
 from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import (
-    GRADIENTS,
-    STATIC_EFFECTS,
     at_rest,
     core_effects,
     direction,
@@ -29,10 +27,11 @@ LOAD_STAGES = ((0.35, 0.7, 1.0), tuple(np.arange(1, 13) / 12.0))
 def _acting(belief: Belief) -> tuple[Belief, tuple[str, ...]]:
     """What of a belief acts at rest, and the core effects of it."""
     rest = at_rest(belief)
+    known = {n: effect(n) for n in core_effects(rest)}
     active = tuple(
         n
-        for n in core_effects(rest)
-        if n in STATIC_EFFECTS or effect(n).site == "volume" and n != "prestress"
+        for n, spec in known.items()
+        if spec.loads_at_rest or spec.site == "volume" and not spec.carries_gravity
     )
     terms = tuple(t for t in rest.terms if t.name in active or effect(t.name).site == "material")
     return replace(rest, terms=terms), active
@@ -168,7 +167,8 @@ class RestShape:
         solution then tells all of its derivatives: what it has more of acts from outside, or is a material's
         change from place to place."""
         more = set(_acting(belief)[0].effects) - set(_acting(beside)[0].effects)
-        return more <= {*STATIC_EFFECTS, *GRADIENTS}
+        added = [effect(name) for name in more]
+        return all(spec.loads_at_rest or spec.site == "material" and not spec.replaces for spec in added)
 
     def _unsolved(self, rest: Belief, active: tuple[str, ...]) -> object:
         """A model that tells loads, of what acts at rest."""

@@ -46,9 +46,7 @@ def impossible_effects(transfer: str) -> dict[str, str]:
     """Effects that a transfer cannot have, each with the reason."""
     if transfer != MLS:
         return {}
-    refused = {"hold_compliance": "it imposes the hold's velocity and knows no reaction"}
-    refused |= {name: "it has no effects in Python" for name, e in effects().items() if e.site == "user"}
-    return refused
+    return {name: spec.not_with_mls for name, spec in effects().items() if spec.not_with_mls}
 
 
 def check_effects(transfer: str, names: Iterable[str]) -> None:

@@ -10,6 +10,7 @@ from scipy.sparse import bsr_matrix, csr_matrix
 
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
+from mphygs.model.registry import USUAL_LAW
 from mphygs.simulate import core_runs
 from mphygs.simulate.body import Attachment, Body, core_model, with_places
 from mphygs.simulate.carried import Carriers
@@ -43,7 +44,7 @@ class TotalLagrangian(Transfer):
 
     def _plain(self) -> object:
         """A model that knows the nodes and their weights."""
-        return self.model((), _NOWHERE, "neo-hookean")
+        return self.model((), _NOWHERE, USUAL_LAW)
 
     def largest_rates(self, model: object, fields: Arrays, hook: object | None) -> tuple[float, float]:
         return tuple(model.largest_rates(fields, hook=hook))

@@ -9,8 +9,8 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
+from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.fields import STATIC_EFFECTS
 from mphygs.synth.brick_mesh import SAME, brick_mesh
 from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.finite_element_rest import stiffness, unloaded
@@ -108,7 +108,7 @@ class _Body:
         loads = {
             n: v
             for n, v in self.effects.items()
-            if n in STATIC_EFFECTS and self.terms[n].settings.get("at_rest", True)
+            if effect(n).loads_at_rest and self.terms[n].settings.get("at_rest", True)
         }
         still = np.zeros_like(self.mesh.nodes)
         load = self._outside(self.mesh.nodes, still, 0.0, loads)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from mphygs.model.descriptor import EffectSpec
 from mphygs.model.registry import effects
 from mphygs.synth.causes import CAUSES
 from mphygs.synth.faults import DEFAULTS as FAULTS
@@ -30,7 +32,7 @@ class Hidden:
 def names() -> tuple[str, ...]:
     """Everything that can be hidden, by name."""
     return (
-        *(n for n, spec in effects().items() if spec.kind != "measurement" and n != "prestress"),
+        *(n for n, spec in effects().items() if not spec.fault and not spec.carries_gravity),
         *FAULTS,
         *CAUSES,
     )
@@ -151,5 +153,21 @@ def _usual(
             {"part": first},
         ),
     }
-    values, settings = table[name]
+    values, settings = table.get(name) or _described(effects()[name], shape)
     return {k: float(v) for k, v in values.items()}, settings
+
+
+def _described(spec: EffectSpec, shape: Shape) -> tuple[dict[str, float], dict[str, object]]:
+    """Values and settings of an effect that is not in the table, as its descriptor suggests."""
+    vectors = {
+        "direction": shape.axis,
+        "axis": shape.axis,
+        "flow": _across(shape),
+        "anchor": shape.tip,
+    }
+    values = {p.name: p.null + p.scale for p in spec.of_role("strength")}
+    values |= {p.name: math.sqrt(p.range[0] * p.range[1]) for p in spec.of_role("level")}
+    for role, vector in vectors.items():
+        values |= {p.name: v for p, v in zip(spec.of_role(role), vector, strict=False)}
+    settings = {"place": tuple(shape.tip), "part": shape.part_names[0], "axis": tuple(shape.axis)}
+    return values, {key: settings[key] for key in spec.settings}

@@ -6,8 +6,13 @@
 namespace mphygs {
 
 struct Restoring {
-    static constexpr EffectInfo info{"restoring", "pull towards a level, -k (z - level) per mass", Site::body, false, false, 0, 2,
-                                     {{"k", "1/s^2", 0, 0, 1e6, 10, true}, {"level", "m", 0, -100, 100, 0.1, false}}};
+    static constexpr EffectInfo info{
+        .name = "restoring",
+        .summary = "pull towards a level, -k (z - level) per mass",
+        .site = Site::body,
+        .parameters = {{"k", "1/s^2", 0, 0, 1e6, 10, true},
+                       {"level", "m", 0, -100, 100, 0.1, false}},
+    };
     template <class S>
     static Vec3<S> acceleration(const BodyPoint<S>& p, const S* q) {
         return {{S{}, S{}, -q[0] * (p.position[2] - q[1])}};

@@ -16,8 +16,12 @@ inline Vec3<S> quadratic_drag(const Vec3<S>& w, const S& area, const S& drag_coe
 }
 
 struct AirDrag {
-    static constexpr EffectInfo info{"air_drag", "drag of still air on the exposed surface", Site::surface, false, false, 0, 1,
-                                     {{"c_d", "-", 0, 0, 100, 1, true}}};
+    static constexpr EffectInfo info{
+        .name = "air_drag",
+        .summary = "drag of still air on the exposed surface",
+        .site = Site::surface,
+        .parameters = {{"c_d", "-", 0, 0, 100, 1, true}},
+    };
     static constexpr bool reads_position = false;
     template <class S>
     static Vec3<S> force(const SurfacePoint<S>& p, const S* q) {

@@ -9,8 +9,13 @@
 namespace mphygs {
 
 struct AttachedMass {
-    static constexpr EffectInfo info{"attached_mass", "a point mass carried at a place on the object", Site::mass, false, false,
-                                     0, 1, {{"m", "kg", 0, 0, 100, 0.01, true}}};
+    static constexpr EffectInfo info{
+        .name = "attached_mass",
+        .summary = "a point mass carried at a place on the object",
+        .site = Site::mass,
+        .loads_at_rest = true,
+        .parameters = {{"m", "kg", 0, 0, 100, 0.01, true}},
+    };
 };
 
 }  // namespace mphygs

@@ -7,14 +7,17 @@
 namespace mphygs {
 
 struct BaseMotion {
-    static constexpr EffectInfo info{"base_motion", "the frame accelerates: -m a sin(2 pi f t + phase)", Site::body, false,
-                                     false, 0, 6,
-                                     {{"a_x", "m/s^2", 0, -100, 100, 0.5, true},
-                                      {"a_y", "m/s^2", 0, -100, 100, 0.5, true},
-                                      {"a_z", "m/s^2", 0, -100, 100, 0.5, true},
-                                      {"f", "Hz", 2, 0, 1000, 1, true},
-                                      {"phase", "rad", 0, -1e5, 1e5, 1, true},
-                                      {"pulse", "-", 0, 0, 1, 1, false}}};
+    static constexpr EffectInfo info{
+        .name = "base_motion",
+        .summary = "the frame accelerates: -m a sin(2 pi f t + phase)",
+        .site = Site::body,
+        .parameters = {{"a_x", "m/s^2", 0, -100, 100, 0.5, true},
+                       {"a_y", "m/s^2", 0, -100, 100, 0.5, true},
+                       {"a_z", "m/s^2", 0, -100, 100, 0.5, true},
+                       {"f", "Hz", 2, 0, 1000, 1, true, Role::frequency},
+                       {"phase", "rad", 0, -1e5, 1e5, 1, true, Role::phase},
+                       {"pulse", "-", 0, 0, 1, 1, false, Role::switch_}},
+    };
     static constexpr int uniform_count = 3;
     template <class S>
     static void uniforms(const S* p, typename ScalarOf<S>::type time, typename ScalarOf<S>::type, S* q) {

@@ -6,8 +6,12 @@
 namespace mphygs {
 
 struct Eigenstrain {
-    static constexpr EffectInfo info{"eigenstrain", "uniform growth, F = F_e exp(rate t)", Site::volume, false, false, 0, 1,
-                                     {{"rate", "1/s", 0, -1, 1, 0.01, true}}};
+    static constexpr EffectInfo info{
+        .name = "eigenstrain",
+        .summary = "uniform growth, F = F_e exp(rate t)",
+        .site = Site::volume,
+        .parameters = {{"rate", "1/s", 0, -1, 1, 0.01, true}},
+    };
     static constexpr int uniform_count = 1;
     template <class S>
     static void uniforms(const S* p, typename ScalarOf<S>::type time, typename ScalarOf<S>::type, S* q) {

@@ -6,12 +6,15 @@
 namespace mphygs {
 
 struct Fibre {
-    static constexpr EffectInfo info{"fibre", "stiffness along a direction, 1/2 k_f (I4 - 1)^2", Site::volume, false, false, 0,
-                                     4,
-                                     {{"k_f", "Pa", 0, 0, 1e9, 1e4, true},
-                                      {"a_x", "-", 0, -1, 1, 1, false},
-                                      {"a_y", "-", 0, -1, 1, 1, false},
-                                      {"a_z", "-", 1, -1, 1, 1, false}}};
+    static constexpr EffectInfo info{
+        .name = "fibre",
+        .summary = "stiffness along a direction, 1/2 k_f (I4 - 1)^2",
+        .site = Site::volume,
+        .parameters = {{"k_f", "Pa", 0, 0, 1e9, 1e4, true},
+                       {"a_x", "-", 0, -1, 1, 1, false, Role::axis},
+                       {"a_y", "-", 0, -1, 1, 1, false, Role::axis},
+                       {"a_z", "-", 1, -1, 1, 1, false, Role::axis}},
+    };
     /// P = 2 k_f (I4 - 1) (F_e a) (factor a)^T, F_e = F factor the part of F that stores energy
     template <class S>
     static void stress(VolumePoint<S>& p, const S* q) {

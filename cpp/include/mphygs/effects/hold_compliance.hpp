@@ -9,8 +9,13 @@
 namespace mphygs {
 
 struct HoldCompliance {
-    static constexpr EffectInfo info{"hold_compliance", "the hold gives way elastically", Site::hold, false, false, 0, 1,
-                                     {{"compliance", "m/N", 0, 0, 10, 1e-3, true}}};
+    static constexpr EffectInfo info{
+        .name = "hold_compliance",
+        .summary = "the hold gives way elastically",
+        .site = Site::hold,
+        .not_with_mls = "it imposes the hold's velocity and knows no reaction",
+        .parameters = {{"compliance", "m/N", 0, 0, 10, 1e-3, true, Role::strength, 1e-5, 1e-1}},
+    };
 };
 
 }  // namespace mphygs

@@ -11,8 +11,14 @@
 namespace mphygs {
 
 struct Plasticity {
-    static constexpr EffectInfo info{"plasticity", "von Mises yield with return mapping", Site::volume, true, false, 9, 1,
-                                     {{"yield_stress", "Pa", 1e12, 1, 1e12, 1e4, true}}};
+    static constexpr EffectInfo info{
+        .name = "plasticity",
+        .summary = "von Mises yield with return mapping",
+        .site = Site::volume,
+        .threshold = true,
+        .history_count = 9,
+        .parameters = {{"yield_stress", "Pa", 1e12, 1, 1e12, 1e4, true, Role::level, 1e2, 1e6}},
+    };
     /// History: inverse plastic deformation minus the identity.
     template <class S>
     static void strain(VolumePoint<S>& p, const S* q) {

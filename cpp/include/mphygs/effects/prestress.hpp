@@ -10,11 +10,15 @@
 namespace mphygs {
 
 struct Prestress {
-    static constexpr EffectInfo info{"prestress", "the paper's stored internal force, turning with the part", Site::volume,
-                                     false, false, 0, 3,
-                                     {{"g_x", "m/s^2", 0, -100, 100, 1, false},
-                                      {"g_y", "m/s^2", 0, -100, 100, 1, false},
-                                      {"g_z", "m/s^2", 0, -100, 100, 1, false}}};
+    static constexpr EffectInfo info{
+        .name = "prestress",
+        .summary = "the paper's stored internal force, turning with the part",
+        .site = Site::volume,
+        .carries_gravity = true,
+        .parameters = {{"g_x", "m/s^2", 0, -100, 100, 1, false},
+                       {"g_y", "m/s^2", 0, -100, 100, 1, false},
+                       {"g_z", "m/s^2", 0, -100, 100, 1, false}},
+    };
     template <class S>
     static void body(VolumePoint<S>& p, const S* q) {
         const Mat3<S> rotation = polar_rotation(p.deformation);

@@ -11,8 +11,16 @@
 namespace mphygs {
 
 struct Relaxation {
-    static constexpr EffectInfo info{"relaxation", "Maxwell branch: Q' + Q/tau = ratio S'", Site::volume, false, false, 13, 2,
-                                     {{"ratio", "-", 0, 0, 100, 0.1, true}, {"tau", "s", 0.1, 1e-4, 1e4, 0.1, true}}};
+    static constexpr EffectInfo info{
+        .name = "relaxation",
+        .summary = "Maxwell branch: Q' + Q/tau = ratio S'",
+        .site = Site::volume,
+        .history_count = 13,
+        .parameters = {{"ratio", "-", 0, 0, 100, 0.1, true},
+                       {"tau", "s", 0.1, 1e-4, 1e4, 0.1, true, Role::level, 0.02, 0.5}},
+    };
+    /// At the first instant the branch is a further spring.
+    static double stiffness_factor(const double* q) { return 1.0 + q[0]; }
     static constexpr int uniform_count = 2;
     template <class S>
     static void uniforms(const S* p, typename ScalarOf<S>::type, typename ScalarOf<S>::type dt, S* q) {

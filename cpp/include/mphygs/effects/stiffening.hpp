@@ -6,8 +6,12 @@
 namespace mphygs {
 
 struct Stiffening {
-    static constexpr EffectInfo info{"stiffening", "second-order term c_2 (I1_bar - 3)^2", Site::volume, false, false, 0, 1,
-                                     {{"c_2", "Pa", 0, 0, 1e9, 1e4, true}}};
+    static constexpr EffectInfo info{
+        .name = "stiffening",
+        .summary = "second-order term c_2 (I1_bar - 3)^2",
+        .site = Site::volume,
+        .parameters = {{"c_2", "Pa", 0, 0, 1e9, 1e4, true}},
+    };
     /// P = 4 c_2 (I1_bar - 3) J^(-2/3) (F - |F|^2/3 F^-T)
     template <class S>
     static void stress(VolumePoint<S>& p, const S* q) {

@@ -6,8 +6,13 @@
 namespace mphygs {
 
 struct Viscosity {
-    static constexpr EffectInfo info{"viscosity", "Kelvin-Voigt Cauchy stress 2 eta dev(D)", Site::volume, false, true, 0, 1,
-                                     {{"eta", "Pa s", 0, 0, 1e6, 10, true}}};
+    static constexpr EffectInfo info{
+        .name = "viscosity",
+        .summary = "Kelvin-Voigt Cauchy stress 2 eta dev(D)",
+        .site = Site::volume,
+        .needs_rate = true,
+        .parameters = {{"eta", "Pa s", 0, 0, 1e6, 10, true}},
+    };
     /// P = J sigma F^-T = sigma cof(F), with L = dF/dt F^-1 = dF/dt cof(F)^T / J
     template <class S>
     static void stress(VolumePoint<S>& p, const S* q) {

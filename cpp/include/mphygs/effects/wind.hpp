@@ -6,11 +6,16 @@
 namespace mphygs {
 
 struct Wind {
-    static constexpr EffectInfo info{"wind", "drag of a steady flow on the exposed surface", Site::surface, false, false, 0, 4,
-                                     {{"w_x", "m/s", 0, -50, 50, 1, true},
-                                      {"w_y", "m/s", 0, -50, 50, 1, true},
-                                      {"w_z", "m/s", 0, -50, 50, 1, true},
-                                      {"c_d", "-", 0, 0, 100, 1, true}}};
+    static constexpr EffectInfo info{
+        .name = "wind",
+        .summary = "drag of a steady flow on the exposed surface",
+        .site = Site::surface,
+        .loads_at_rest = true,
+        .parameters = {{"w_x", "m/s", 0, -50, 50, 1, true, Role::flow, 2, 2},
+                       {"w_y", "m/s", 0, -50, 50, 1, true, Role::flow, 2, 2},
+                       {"w_z", "m/s", 0, -50, 50, 1, true, Role::flow, 2, 2},
+                       {"c_d", "-", 0, 0, 100, 1, true}},
+    };
     static constexpr bool reads_position = false;
     template <class S>
     static Vec3<S> force(const SurfacePoint<S>& p, const S* q) {

@@ -7,6 +7,7 @@
 namespace mphygs {
 
 struct FixedCorotated {
+    static constexpr const char* name = "fixed-corotated";
     template <class S>
     static S energy(const Mat3<S>& f, const S& mu, const S& lambda) {
         using R = typename ScalarOf<S>::type;

@@ -7,6 +7,8 @@
 namespace mphygs {
 
 struct NeoHookean {
+    static constexpr const char* name = "neo-hookean";
+    static constexpr bool usual = true, linearised = true;
     template <class S>
     static S energy(const Mat3<S>& f, const S& mu, const S& lambda) {
         using R = typename ScalarOf<S>::type;

@@ -110,7 +110,7 @@ class MlsForces {
     /// Neo-Hookean particles that only gravity acts on: the hot path has them to itself.
     bool plain() const {
         const ActiveSites& a = model_.sites_;
-        return model_.settings_.law == Law::neo_hookean && !a.volume && !a.body && !a.surface && inputs_.primal->node_force.empty();
+        return model_.settings_.law == linearised_law && !a.volume && !a.body && !a.surface && inputs_.primal->node_force.empty();
     }
     bool plain_tile(const MlsOrder<T>& order, std::size_t first) const {
         bool good = true;

@@ -109,13 +109,13 @@ class MlsForcesReverse {
                     return;
                 }
                 D parameters[max_effect_parameters], q[uniform_count<E>()];
-                for (int k = 0; k < E::info.parameter_count; ++k) {
+                for (int k = 0; k < E::info.parameter_count(); ++k) {
                     parameters[k] = D(static_cast<double>(forces_.parameters_[static_cast<std::size_t>(s.parameter + k)]));
                     parameters[k].d[k] = 1;
                 }
                 effect_uniforms<E>(parameters, static_cast<double>(forces_.time_), static_cast<double>(forces_.dt_), q);
                 for (int j = 0; j < uniform_count<E>(); ++j) {
-                    for (int k = 0; k < E::info.parameter_count; ++k) {
+                    for (int k = 0; k < E::info.parameter_count(); ++k) {
                         parameter_bar[static_cast<std::size_t>(s.parameter + k)] +=
                             uniform_bar[static_cast<std::size_t>(s.uniform + j)] * q[j].d[k];
                     }

@@ -44,7 +44,7 @@ inline void TotalLagrangianDirections<T, L>::linearised_forces(std::size_t b, do
     const std::size_t count = static_cast<std::size_t>(model_.sites_.history), blocks = model_.rows_.size();
     const Mat3<P> moved = Mat3<P>::identity() + gather_gradient<T>(value_.u_.data(), stride_, rows, table);
     const Mat3<P> f0 = prestressed ? value_.f0_[b] : Mat3<P>::identity();
-    const NeoHookean::Linearised<P> law(prestressed ? moved * f0 : moved, value_.mu_[b], value_.lambda_[b]);
+    const LinearisedLaw::Linearised<P> law(prestressed ? moved * f0 : moved, value_.mu_[b], value_.lambda_[b]);
     Mat3<P> stress = law.stress(), speed;
     thread_local LinearisedEffects<P> added;
     thread_local VolumePoint<P> now;  // large: cleared once, written over
@@ -72,7 +72,7 @@ inline void TotalLagrangianDirections<T, L>::linearised_forces(std::size_t b, do
         const std::size_t first = 8 * (s * blocks + b);
         for (int q = 0; q < lane_count; ++q) {
             const std::size_t p = first + static_cast<std::size_t>(q);
-            NeoHookean::Linearised<T> here;
+            LinearisedLaw::Linearised<T> here;
             here.f = in_lane(law.f, q);
             here.c = in_lane(law.c, q);
             here.mu = law.mu[q];

@@ -186,7 +186,7 @@ class TotalLagrangianDirections {
 
     void chunk_forces(std::size_t index, double time, double dt);
     bool linearised() const {
-        return model_.sites_.linearised && !model_.sites_.body_volume && model_.settings_.law == Law::neo_hookean;
+        return model_.sites_.linearised && !model_.sites_.body_volume && model_.settings_.law == linearised_law;
     }
     template <bool Effects>
     void linearised_forces(std::size_t b, double time, double dt, W* out, std::size_t span);

@@ -155,7 +155,7 @@ class TotalLagrangianForces {
     void block_forces(std::size_t b, double time, double dt, T* out, std::size_t span) {
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
         const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
-        if (!model_.sites_.volume && model_.settings_.law == Law::neo_hookean) {
+        if (!model_.sites_.volume && model_.settings_.law == linearised_law) {
             elastic_forces(b, out, span, rows, table);
             return;
         }
@@ -207,7 +207,7 @@ class TotalLagrangianForces {
             f = Mat3<P>::identity() + gradient;
         }
         const P volume = -lane_of(volume_[b], 0);
-        const NeoHookean::Linearised<P> law(f, lane_of(mu_[b], 0), lane_of(lambda_[b], 0));
+        const LinearisedLaw::Linearised<P> law(f, lane_of(mu_[b], 0), lane_of(lambda_[b], 0));
         Mat3<P> stress = law.stress();  // without the volume: the directions need it
         const Mat3<P> pulled = prestressed_ ? stress * f0t : stress;
         scatter_gradient<T>(volume * pulled, out, span, rows, table);

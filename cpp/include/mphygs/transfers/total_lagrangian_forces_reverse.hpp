@@ -367,13 +367,13 @@ class TotalLagrangianForcesReverse {
                     return;
                 }
                 D parameters[max_effect_parameters], q[uniform_count<E>()];
-                for (int k = 0; k < E::info.parameter_count; ++k) {
+                for (int k = 0; k < E::info.parameter_count(); ++k) {
                     parameters[k] = D(static_cast<double>(run_.parameters_[static_cast<std::size_t>(s.parameter + k)]));
                     parameters[k].d[k] = 1;
                 }
                 effect_uniforms<E>(parameters, time, dt, q);
                 for (int j = 0; j < uniform_count<E>(); ++j) {
-                    for (int k = 0; k < E::info.parameter_count; ++k) {
+                    for (int k = 0; k < E::info.parameter_count(); ++k) {
                         parameter_bar_[static_cast<std::size_t>(s.parameter + k)] +=
                             total[static_cast<std::size_t>(s.uniform + j)] * q[j].d[k];
                     }

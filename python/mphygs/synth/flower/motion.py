@@ -17,8 +17,9 @@ from mphygs.capture.format import Capture, Hold, Known
 from mphygs.capture.motions import hold_poses
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.fields import STATIC_EFFECTS, at_rest, core_effects, places, primal
+from mphygs.simulate.fields import at_rest, core_effects, places, primal
 from mphygs.simulate.prediction import Settings
 from mphygs.synth.flower.grow import Flower
 from mphygs.synth.hidden import Hidden
@@ -173,5 +174,5 @@ class TrueMotion:
 
 def _calm(belief: Belief) -> Belief:
     """What shapes and loads the flower before anything is recorded, with damping that brings it to rest."""
-    terms = tuple(t for t in at_rest(belief).terms if t.name in STATIC_EFFECTS or t.name in SHAPING)
+    terms = tuple(t for t in at_rest(belief).terms if effect(t.name).loads_at_rest or t.name in SHAPING)
     return replace(belief, terms=terms).with_effect("mass_damping", {"alpha": SETTLING_DAMPING}, {})
