@@ -13,7 +13,8 @@ import torch
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, SPACING, recorded
 from mphygs.capture.holds import Load
-from mphygs.diagnose.planes import Plane, sphere, touched_planes, with_wall
+from mphygs.diagnose.planes import Plane, sphere, touched_planes
+from mphygs.diagnose.trials import met
 from mphygs.extend.contend import Predictive, gain_of
 from mphygs.extend.discover import discover
 from mphygs.extend.rounds import assimilated, simplest
@@ -144,7 +145,8 @@ def test_a_wall_alone_can_be_asked_for() -> None:
     capture = bar_capture(frames=20, fps=100.0, sigma=SIGMA, fit=(0, 14))
     capture = replace(capture, sequences=(replace(capture.sequence("a"), predict=(14, 20)),))
     belief = bar_belief(capture, youngs_modulus=2e4, free=FREE)
-    wall = with_wall(belief, Plane(tuple(normal), float(normal @ struck), 1.0))
+    plane = Plane(tuple(normal), float(normal @ struck), 1.0)
+    wall = met(belief, registry.effect("contact"), plane).belief
     experiment = Experiment.of(recorded(capture, wall, 0.0085), Settings(SPACING, workers=1))
     found = discover(experiment, belief, SPACING, names=("contact",))
     first, last = found.steps

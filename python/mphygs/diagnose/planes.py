@@ -11,16 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mphygs.model.belief import Belief
-
 # Normals, spread evenly; cosine from which two are the same plane; planes that are returned.
 DIRECTIONS, APART, COUNT = 600, 0.94, 10
 # Of the body's size: how deep a surface point may stand behind a wall that it leans on.
 SKINS = (0.01, 0.03)
 # Markers whose misfit tells that of a surface point.
 NEAREST = 4
-# What a refit of a wall begins with.
-FRICTION = 0.2
 
 
 @dataclass(frozen=True)
@@ -91,15 +87,3 @@ def touched_planes(
         if len(chosen) == count:
             break
     return chosen
-
-
-def with_wall(belief: Belief, plane: Plane) -> Belief:
-    """A belief with a wall, its place, direction and friction free."""
-    values = dict(zip(("n_x", "n_y", "n_z"), plane.normal, strict=True))
-    extended = belief.with_effect("contact", {"d": plane.offset, "mu": FRICTION} | values)
-    for key, value in values.items():
-        # Only the direction of n counts; the prior keeps its length.
-        extended = extended.with_parameter(
-            f"contact.{key}", free=True, scale=0.1, prior_mean=value, prior_std=0.5
-        )
-    return extended.with_parameter("contact.mu", prior_mean=0.3, prior_std=0.5)

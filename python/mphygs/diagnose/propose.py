@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mphygs.diagnose.candidates import Way, late_ways, smooth_ways
-from mphygs.diagnose.planes import touched_planes, with_wall
+from mphygs.diagnose.planes import Plane, touched_planes
 from mphygs.diagnose.shaking import shaking_ways
-from mphygs.diagnose.trials_of import Trial, compliance_trials, hung_trials, plasticity_trials
+from mphygs.diagnose.trials import Trial, trials_of
+from mphygs.diagnose.ways import Way, missing, smooth_ways
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
@@ -47,28 +47,20 @@ def proposals(
     (None: all).
     """
     body = next(iter(problem.predictors.values())).body
-    hung = masses_of_loads(experiment.capture, list(problem.ranges))
-    ways = smooth_ways(belief, body, names=names, hung=hung)
+    ways = smooth_ways(
+        belief, body, names=names, hung=masses_of_loads(experiment.capture, list(problem.ranges))
+    )
     worst = evaluation.worst
     first, last = problem.ranges[worst]
     misfit = experiment.observations[worst].position[first:last] - evaluation.positions[worst][first:last]
     fps = experiment.capture.sequence(worst).fps
-    if names is None or "base_motion" in names:
-        ways += shaking_ways(belief, misfit, fps, first / fps)
-    ways += late_ways(belief, body, names=names)
-    trials: list[Trial] = []
-    walls = names is None or "contact" in names
-    if walls and "contact" not in belief.effects and hasattr(problem.predictors[worst].body, "geometry"):
+    ways += shaking_ways(belief, body.transfer, misfit, fps, first / fps, names=names)
+    planes: list[Plane] = []
+    meets = any(spec.of_role("offset") for spec in missing(belief, body.transfer, names))
+    if meets and hasattr(problem.predictors[worst].body, "geometry"):
         moved, rest = surface_motion(problem, belief, worst)
-        shown = misfit[-len(moved) :]
         step = max(1, len(rest) // 1500)
         at = problem.predictors[worst].attachment.anchor
-        for plane in touched_planes(moved[:, ::step], rest[::step], shown, at):
-            trials.append(Trial("contact", plane.label, with_wall(belief, plane)))
-    if names is None or "plasticity" in names:
-        trials += plasticity_trials(problem.predictors[worst], belief, last)
-    if names is None or "hold_compliance" in names:
-        trials += compliance_trials(experiment.capture, belief)
-    if names is None or "attached_mass" in names:
-        trials += hung_trials(experiment.capture, belief, list(problem.ranges))
+        planes = touched_planes(moved[:, ::step], rest[::step], misfit[-len(moved) :], at)
+    trials = trials_of(belief, experiment.capture, body.transfer, list(problem.ranges), planes, names=names)
     return ways, trials

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mphygs.compare.projection import project_out
-from mphygs.diagnose.candidates import Way, other_starts, starting_effect
 from mphygs.diagnose.criteria import CRITERIA, Criteria
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.places import ways_between
@@ -21,8 +20,10 @@ from mphygs.diagnose.power import detectable_strength
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
 from mphygs.diagnose.spots import Spot, Spots
+from mphygs.diagnose.starts import other_starts, start_of
 from mphygs.diagnose.ties import tied_with
-from mphygs.diagnose.trials_of import Trial
+from mphygs.diagnose.trials import Trial
+from mphygs.diagnose.ways import Way
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.side_by_side import side_by_side
@@ -173,7 +174,7 @@ def _of_score(way: Way, score: Score, belief: Belief, tangent: np.ndarray, famil
     numbers = len(labels) + scanned
     if not score.testable:
         return Scored(way.effect, way.label, kind, 0.0, numbers, 1.0, {}, {}, None, struck=score.reason)
-    nulls = np.array([p.value for _, p in way.columns]) if way.effect == "compressibility" else 0.0
+    nulls = np.array([p.value for _, p in way.columns]) if effect(way.effect).replaces else 0.0
     estimate = score.estimate + nulls
     return Scored(
         way.effect,
@@ -184,7 +185,7 @@ def _of_score(way: Way, score: Score, belief: Belief, tangent: np.ndarray, famil
         float(score.p_value),
         dict(zip(labels, map(float, estimate), strict=True)),
         dict(zip(labels, map(float, score.std), strict=True)),
-        starting_effect(way, estimate, belief),
+        start_of(way, estimate, belief),
         tangent,
         other_starts(way, score, belief),
         detectable=_detectable(public, score, family),
