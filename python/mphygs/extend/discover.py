@@ -112,7 +112,7 @@ def told(
     moved = {} if coarse is None else from_grid_to_grid(coarse, solution.belief, grids.trying / fine)
     return Step(
         solution.belief, solution, compared, experiment.assess(compared), fine, tuple(added), tuple(ties),
-        beside=beside, moved=moved, table=table,
+        beside=beside, moved=moved, table=table, gain=0.0,
     )  # fmt: skip
 
 
@@ -134,7 +134,10 @@ def step_of(
     except FAILURES:
         # What cannot run free is told as it is under feedback.
         compared = experiment.compare(solution.belief, grids.trying, gain=beside.gain)
-    return Step(solution.belief, solution, compared, experiment.assess(compared), grids.trying, **more)
+    return Step(
+        solution.belief, solution, compared, experiment.assess(compared), grids.trying, gain=beside.gain,
+        **more,
+    )  # fmt: skip
 
 
 def decided(
@@ -221,13 +224,15 @@ def discover(
             for predictor in problem.predictors.values():
                 predictor.forget()
         start = belief if step is None else step.belief
-        gain = gains_of(experiment)[0]
-        start = simulable(experiment.problem(spacing).under(gain), start)
-        return assimilated(experiment, start, spacing, criteria=criteria, say=say)
+        first = gains_of(experiment)[0] if step is None else step.gain
+        start = simulable(experiment.problem(spacing).under(first), start)
+        return assimilated(experiment, start, spacing, first=first, criteria=criteria, say=say)
 
-    now = begun(steps[-1] if steps else None)
-    masked = any(FAULT in step.added for step in steps)
-    if not masked and (names is None or FAULT in names):
+    masks = names is None or FAULT in names
+    masks = masks and not any(FAULT in step.added for step in steps)
+    if masks or not steps:
+        now = begun(steps[-1] if steps else None)
+    if masks:
         compared = experiment.compare(now.belief, spacing, jacobian=False, gain=now.gain)
         count = mask_outliers(experiment, compared)
         if count:
@@ -241,13 +246,15 @@ def discover(
             done(step_of(experiment, now, grids, criteria, added=(FAULT,)))
     if not steps:
         done(step_of(experiment, now, grids, criteria))
-    elif not steps[-1].explained and steps[-1].spacing > grids.deciding and is_free(now, criteria):
-        # What is near the data on the coarse grid is asked on the one that decides.
-        better = step_of(experiment, now, grids, criteria, added=steps[-1].added, ties=steps[-1].ties)
-        steps[-1] = replace(better, table=steps[-1].table, warnings=steps[-1].warnings)
     while not steps[-1].explained and len(steps[-1].belief.terms) < criteria.largest_model:
         if names is not None and set(names) <= set(steps[-1].belief.effects):
             break
+        now = begun(steps[-1])
+        if steps[-1].spacing > grids.deciding and is_free(now, criteria):
+            # What is near the data on the coarse grid is asked on the one that decides.
+            better = step_of(experiment, now, grids, criteria, added=steps[-1].added, ties=steps[-1].ties)
+            steps[-1] = replace(better, table=steps[-1].table, warnings=steps[-1].warnings)
+            continue
         round_ = held_round(
             experiment,
             now,
@@ -269,7 +276,6 @@ def discover(
             table = table_of(round_)
             break
         done(step)
-        now = begun(steps[-1])
     if steps[-1].explained and len(steps[-1].belief.terms) > 1:
         steps[-1] = without_superfluous(experiment, steps[-1], criteria, say)
     if steps[-1].explained and steps[-1].added:

@@ -79,15 +79,17 @@ def assimilated(
     belief: Belief,
     spacing: float,
     *,
+    first: float = 1.0,
     criteria: Criteria = CRITERIA,
     say: Say = lambda _text: None,
 ) -> Beside:
-    """A belief fitted under feedback, which is then lowered as long as the model stays near the data.
+    """A belief fitted under feedback, which is then lowered as long as the model stays near the data. first:
+    gain to begin with.
 
     Raises SimulationError where it cannot be simulated under any feedback.
     """
     found: Beside | None = None
-    gains = gains_of(experiment)
+    gains = [gain for gain in gains_of(experiment) if gain <= first]
     for gain in gains:
         problem = experiment.problem(spacing).under(gain)
         try:

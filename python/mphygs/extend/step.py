@@ -18,13 +18,13 @@ FAULT = "marker_outliers"
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One model of the loop. spacing: of its grid [m]; gain: of the feedback beside which the next effect is
-    looked for; added: effects new in it; ties: effects that the data cannot tell from them; dropped: effects
-    of earlier steps that are superfluous with them; lender: spacing of the coarser grid that its Jacobians
-    are of [m], None where they are its own; beside: spacing of the other grid that showed the
-    discretisation's share, None for a finer one; moved: how far an ever finer grid would move each
-    coordinate, by the parameter's key; table: one row a candidate that was held against it; warnings: what
-    was said on the way to it."""
+    """One model of the loop. spacing: of its grid [m]; gain: of the feedback with which it stays near the
+    data, where the next effect is looked for; added: effects new in it; ties: effects that the data
+    cannot tell from them; dropped: effects of earlier steps that are superfluous with them; lender:
+    spacing of the coarser grid that its Jacobians are of [m], None where they are its own; beside:
+    spacing of the other grid that showed the discretisation's share, None for a finer one; moved: how
+    far an ever finer grid would move each coordinate, by the parameter's key; table: one row a candidate
+    that was held against it; warnings: what was said on the way to it."""
 
     belief: Belief
     solution: Solution
@@ -39,6 +39,7 @@ class Step:
     moved: Mapping[str, float] = field(default_factory=dict)
     table: tuple[dict, ...] = ()
     warnings: tuple[str, ...] = ()
+    gain: float = 1.0
 
     @property
     def explained(self) -> bool:

@@ -53,6 +53,7 @@ def state_of(step: Step) -> dict[str, object]:
         "moved": dict(step.moved),
         "table": list(step.table),
         "warnings": list(step.warnings),
+        "gain": step.gain,
     }
 
 
@@ -78,6 +79,7 @@ def restored(
         moved=state["moved"],
         table=tuple(state["table"]),
         warnings=tuple(state["warnings"]),
+        gain=state["gain"],
     )
 
 
