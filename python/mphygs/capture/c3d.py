@@ -8,7 +8,7 @@ from typing import Literal
 import ezc3d
 import numpy as np
 
-from mphygs.capture.errors import fault
+from mphygs.capture.errors import fault, one_line
 
 _METRES = {"m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 
@@ -46,7 +46,7 @@ def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[
         frame, marker, _ = (int(i) for i in np.argwhere(np.isinf(position))[0])
         raise fault(f"{path}: POINT", f"is infinite in frame {frame}, point {marker}", "finite positions")
     labels = list(group["LABELS"]["value"]) if "LABELS" in group else []
-    return position, tuple(label.strip() for label in labels[: points.shape[1]])
+    return position, tuple(one_line(label) for label in labels[: points.shape[1]])
 
 
 def _declared_frames(path: Path) -> int:

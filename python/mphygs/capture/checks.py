@@ -14,6 +14,7 @@ from mphygs.capture.record import Capture, Sequence
 
 SIZE = (1e-3, 20.0)  # [m] of the object
 DENSITY = (5.0, 25000.0)  # [kg/m^3], from light foam to osmium
+LONGEST_NAME = 100  # bytes, of a part or a sequence
 GRAVITY = 300.0  # [m/s^2]; more is another unit than m/s^2
 
 
@@ -44,6 +45,10 @@ def _check_names(where: str, names: list[str], *, dots: bool) -> None:
                 f"{where}[{index}].name",
                 f'is "{name}"',
                 f"letters, digits and, between them, {marks} or spaces",
+            )
+        if len(name.encode()) > LONGEST_NAME:
+            raise fault(
+                f"{where}[{index}].name", f'is "{name}"', f"at most {LONGEST_NAME} bytes: files are named so"
             )
         if name in names[:index]:
             raise fault(f"{where}[{index}].name", f'"{name}" is given twice', "every name once")

@@ -45,7 +45,7 @@ def load_capture(path: str | Path) -> Capture:
     if version is not None and version.value != FORMAT:
         raise version.wrong(f'"{FORMAT}"')
     root.check_keys(required=("format", "name", "gravity", "object", "sequences"))
-    name = root["name"].text()
+    name = root["name"].name()
     gravity = root["gravity"].array((3,))
     parts, gaussians, views = _read_geometry(folder, root["object"])
     sequences = tuple(_read_sequence(folder, entry) for entry in root["sequences"].elements())
@@ -140,7 +140,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         required=("name", "fps", "frames"),
         optional=("fit", "predict", "held", "loads", "release", "markers", "views"),
     )
-    name = entry["name"].text()
+    name = entry["name"].name()
     fps = entry["fps"].number()
     if fps <= 0:
         raise entry["fps"].wrong("frames per second above zero")

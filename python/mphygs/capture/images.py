@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from mphygs.capture.errors import fault
+from mphygs.capture.written import replace_file
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
 
@@ -118,4 +119,4 @@ def write_image(path: Path, values: np.ndarray) -> None:
     encoded, data = cv2.imencode(path.suffix, scaled)
     if not encoded:
         raise OSError(f"{path}: cannot be encoded as an image")
-    path.write_bytes(data.tobytes())
+    replace_file(path, data.tobytes())

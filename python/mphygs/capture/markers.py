@@ -92,7 +92,7 @@ def _read_names(entry: Entry, count: int) -> tuple[str, ...]:
     given = entry.get("names")
     if given is None:
         return ()
-    names = tuple(element.text() for element in given.elements())
+    names = tuple(element.name() for element in given.elements())
     if len(names) != count:
         raise given.fault(f"has {len(names)} names", f"{count}, one for each row of at")
     for name in names:

@@ -13,6 +13,7 @@ from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
 from mphygs.capture.files import file_inside
 from mphygs.capture.overlap import winding_number
+from mphygs.capture.written import replace_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class Part:
 def read_part(folder: Path, entry: Entry) -> Part:
     """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent)."""
     entry.check_keys(required=("name", "mesh"), optional=("scale",))
-    name = entry["name"].text()
+    name = entry["name"].name()
     scale = 1.0
     if given := entry.get("scale"):
         scale = given.number()
@@ -105,7 +106,7 @@ def write_mesh(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     rows = np.empty(len(faces), dtype=[("count", "u1"), ("index", "<i4", (3,))])
     rows["count"] = 3
     rows["index"] = faces
-    path.write_bytes(header.encode("ascii") + vertices.astype("<f8").tobytes() + rows.tobytes())
+    replace_file(path, header.encode("ascii") + vertices.astype("<f8").tobytes() + rows.tobytes())
 
 
 def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

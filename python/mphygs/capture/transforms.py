@@ -19,6 +19,7 @@ from mphygs.capture.document import Entry, read_document
 from mphygs.capture.errors import fault
 from mphygs.capture.files import file_inside
 from mphygs.capture.shots import Shot
+from mphygs.capture.written import replace_file
 
 _INTRINSICS = (
     "fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x",
@@ -139,6 +140,4 @@ def write_transforms(
             "transform_matrix": opengl_of_camera(camera).tolist(),
         }
         entries.append(entry if frame is None else entry | {"frame": frame})
-    path.write_text(
-        json.dumps({"camera_model": "OPENCV", "frames": entries}, indent=1) + "\n", encoding="utf-8"
-    )
+    replace_file(path, json.dumps({"camera_model": "OPENCV", "frames": entries}, indent=1) + "\n")

@@ -17,6 +17,8 @@ from mphygs.simulate.settings import Settings
 
 # Cells that an object of default spacing is worth: about 250 of its volume.
 DEFAULT_CELLS = 250
+# Cells of material, eight points each, that tens of gigabytes hold.
+MOST_CELLS = 2e6
 COARSE_FACTOR = 1.5
 # Of the default spacing: thin parts are lost on grids coarser than this.
 COARSEST = 1.7
@@ -78,6 +80,15 @@ def default_spacing(capture: Capture) -> float:
     return float(np.round(spacing / digits) * digits)
 
 
+def check_spacing(capture: Capture, spacing: float, where: str) -> None:
+    """Raises ValueError, beginning with `where`, for a grid of more cells than fit into memory."""
+    finest = (sum(part.volume for part in capture.parts) / MOST_CELLS) ** (1.0 / 3.0)
+    if spacing < finest:
+        raise ValueError(
+            f"{where}: got {spacing:g} m; expected {finest:.2g} m or more, {MOST_CELLS:.0e} cells of material"
+        )
+
+
 def screening_spacing(capture: Capture) -> float:
     """Coarser spacing for trying many models one after the other [m]: a sixth of the work of the default."""
     return round(SCREENING_FACTOR * default_spacing(capture), 6)
@@ -106,9 +117,7 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sta
     return plan if coarse > spacing else (*plan[:2], plan[3])
 
 
-def plan_of(
-    capture: Capture, spacing: float, *, warm: bool, screening: bool = False
-) -> tuple[Stage, ...]:
+def plan_of(capture: Capture, spacing: float, *, warm: bool, screening: bool = False) -> tuple[Stage, ...]:
     """The stages of a fit of a capture at a spacing [m]. screening: whether it is one of many models that are
     tried, where the grid is as coarse as that asks for."""
     # Rounded as spacings are: the coarsest grid is that of a screening fit, which has no other.

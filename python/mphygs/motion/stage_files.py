@@ -19,6 +19,7 @@ import numpy as np
 from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.files import read_arrays
 from mphygs.capture.rotation import matrix_from_quaternion
+from mphygs.capture.written import replace_arrays
 
 STAGES, RECORD = "stages", "stage.json"
 GAUSSIANS = f"{STAGES}/rest/gaussians.ply"
@@ -144,7 +145,7 @@ def write_part(path: Path, arrays: Mapping[str, np.ndarray]) -> Path:
     """An .npz beside the place where it belongs, to be moved there once it is whole; makes the folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"part-{path.name}")
-    np.savez_compressed(part, **arrays)
+    replace_arrays(part, arrays)
     return part
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from mphygs.capture.errors import fault
+from mphygs.capture.written import replace_file
 from mphygs.scene.gaussians import HARMONIC_COUNTS, Gaussians
 
 _TYPES = {
@@ -101,7 +102,7 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
         table[name] = column
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
     header += [f"property float {name}" for name in columns] + ["end_header", ""]
-    path.write_bytes("\n".join(header).encode("ascii") + table.tobytes())
+    replace_file(path, "\n".join(header).encode("ascii") + table.tobytes())
 
 
 def _read_vertices(path: Path) -> np.ndarray:
