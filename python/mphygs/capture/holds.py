@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
-from mphygs.capture.files import file_inside, read_arrays
+from mphygs.capture.files import Size, file_inside, read_arrays
 from mphygs.capture.rotation import matrix_from_quaternion, sign_continuous
 
 
@@ -83,10 +83,9 @@ def read_hold(folder: Path, entry: Entry, frames: int) -> Hold:
     if entry["motion"].text() == "fixed":
         return Hold(box=box)
     path = file_inside(folder, entry["motion"])
-    arrays = read_arrays(path, {"position": (None, 3), "quaternion": (None, 4)})
+    every = Size.frames(frames)
+    arrays = read_arrays(path, {"position": (every, 3), "quaternion": (every, 4)})
     for name, array in arrays.items():
-        if len(array) != frames:
-            raise fault(f"{path}: {name}", f"has {len(array)} frames", f"{frames}, as the sequence")
         if np.isnan(array).any():
             frame = int(np.argwhere(np.isnan(array))[0, 0])
             raise fault(f"{path}: {name}", f"is NaN in frame {frame}", "the motion of a hold in every frame")

@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.capture.c3d import read_c3d
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
-from mphygs.capture.files import file_inside, read_arrays
+from mphygs.capture.files import Size, file_inside, read_arrays
 from mphygs.capture.rotation import align_rigid
 
 _FIRST_FRAMES = 5  # taken as rest where no release is given
@@ -70,10 +70,8 @@ def read_markers(folder: Path, entry: Entry, *, fps: float, frames: int, release
     path = file_inside(folder, entry["file"])
     suffix = path.suffix.lower()
     if suffix == ".npz":
-        position = read_arrays(path, {"position": (None, None, 3)})["position"]
-        if len(position) != frames:
-            raise fault(f"{path}: position", f"has {len(position)} frames", f"{frames}, as the sequence")
-        _check_count(path, position, at)
+        shape = (Size.frames(frames), Size(len(at), "markers", "one for each row of at"), 3)
+        position = read_arrays(path, {"position": shape})["position"]
     elif suffix == ".c3d":
         position, labels = read_c3d(path, fps=fps, frames=frames)
         if names:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +19,24 @@ def replace_file(path: Path, content: bytes | str) -> None:
     Raises OSError, which names the path, where it cannot be written: nothing is left of it then.
     """
     part = path.with_name(f".part-{os.getpid()}-{secrets.token_hex(4)}")
+    with naming(path):
+        try:
+            with part.open("xb") as stream:
+                stream.write(content.encode() if isinstance(content, str) else content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Names the file in what the system says of it: a full disk does not say which one it was."""
     try:
-        with part.open("xb") as stream:
-            stream.write(content.encode() if isinstance(content, str) else content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(part, path)
+        yield
     except OSError as error:
-        # a full disk does not say which file it was
         raise OSError(error.errno, error.strerror, str(path)) from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def replace_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.archives import open_archive
+from mphygs.capture.errors import fault
 from mphygs.capture.features import Principal, Reduction
 from mphygs.capture.meshes import Part, read_mesh, write_mesh
 from mphygs.capture.written import replace_arrays
@@ -149,17 +149,11 @@ def read_parts(folder: Path) -> list[Part]:
 
 
 def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    expected = f"an .npz with {', '.join(names)}"
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            for name in names:
-                if name not in stored:
-                    raise fault(str(path), f'has no "{name}"', expected)
-            return {name: stored[name] for name in stored.files}
-    except CaptureError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise fault(str(path), f"cannot be read ({error})", expected) from error
+    with open_archive(path, f"an .npz with {', '.join(names)}") as archive:
+        for name in names:
+            if name not in archive.names:
+                raise fault(str(path), f'has no "{name}"', f"an .npz with {', '.join(names)}")
+        return {name: archive.read(name) for name in archive.names}
 
 
 def _numbers(
