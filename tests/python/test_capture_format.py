@@ -157,7 +157,7 @@ OBJECT, PART, FIRST = ("object",), ("object", "parts", 0), ("sequences", 0)
             set_key(*PART, "mesh", value="../low.ply"),
             'object.parts[0].mesh: "../low.ply" leads out of the folder',
         ),
-        (set_key(*PART, "mesh", value="hold.npz"), "hold.npz: cannot be read as a mesh"),
+        (set_key(*PART, "mesh", value="hold.npz"), "hold.npz: is an archive; expected a closed"),
         (set_key(*PART, "scale", value=0), "object.parts[0].scale: is 0; expected a number above zero"),
         (
             rename_first("high"),

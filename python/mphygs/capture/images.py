@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +10,11 @@ import cv2
 import numpy as np
 
 from mphygs.capture.errors import fault
+from mphygs.capture.picture_heads import PictureHead, picture_head
 from mphygs.capture.written import replace_file
 
+# Of a picture that nothing states the size of, and of any file.
+MOST_PIXELS, _LARGEST_FILE = 50_000_000, 400_000_000
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
 
 
@@ -33,16 +37,56 @@ class ImageFile:
         """How messages name it."""
         return str(self.path)
 
-    def read(self) -> Pixels:
-        """The picture. Raises CaptureError where the file is no image."""
+    def size(self) -> tuple[int, int]:
+        """Width and height [px], by the file's head. Raises CaptureError where it is no PNG or JPEG."""
+        return self._head(self._content()).shown
+
+    def read(self, size: tuple[int, int] | None = None, why: str = "") -> Pixels:
+        """The picture. size: width and height that it must have [px], why: what says so; None for any.
+
+        A picture with a mark of how to turn it is turned, unless it has the size as it is stored. Raises
+        CaptureError where the file is no image, or of another size, before anything is unpacked.
+        """
+        data = self._content()
+        head = self._head(data)
+        stored = (head.width, head.height)
+        if size is None:
+            if math.prod(stored) > MOST_PIXELS:
+                raise fault(self.where, f"is {_in_words(stored)}", f"at most {MOST_PIXELS} pixels")
+        elif size not in (stored, head.shown):
+            raise fault(self.where, f"is {_in_words(head.shown)}", f"{_in_words(size, '')}{why}")
+        elif head.turn > 1 and stored == head.shown:
+            what = f"is marked to be turned when shown (EXIF orientation {head.turn})"
+            raise fault(self.where, what, "pixels as the camera has them, without that mark")
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None or image.shape[1::-1] != stored:
+            raise fault(self.where, "is no image, or is damaged", "a PNG or JPEG")
+        return _pixels(image if size == stored else _turned(image, head.turn), self.where)
+
+    def _content(self) -> bytes:
         try:
-            data = np.frombuffer(self.path.read_bytes(), dtype=np.uint8)
+            if self.path.stat().st_size > _LARGEST_FILE:
+                raise fault(self.where, f"has more than {_LARGEST_FILE} bytes", "a PNG or JPEG")
+            return self.path.read_bytes()
         except OSError as error:
             raise fault(self.where, f"cannot be read ({error.strerror})", "an image") from error
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
-        if image is None:
+
+    def _head(self, data: bytes) -> PictureHead:
+        head = picture_head(data)
+        if head is None or not (head.width and head.height):
             raise fault(self.where, "is no image, or is damaged", "a PNG or JPEG")
-        return _pixels(image, self.where)
+        return head
+
+
+def _turned(image: np.ndarray, turn: int) -> np.ndarray:
+    """Pixels as EXIF's mark says to show them."""
+    if turn in (2, 4, 5, 7):
+        image = image[:, ::-1]
+    return np.rot90(image, {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(turn, 0))
+
+
+def _in_words(size: tuple[int, int], unit: str = " pixels") -> str:
+    return f"{size[0]} x {size[1]}{unit}"
 
 
 def _pixels(image: np.ndarray, where: str) -> Pixels:
@@ -69,6 +113,12 @@ class Video:
     def frame_count(self) -> int:
         """Number of frames that the file says it has."""
         return int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures, by its head [px]."""
+        sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        return tuple(int(self._capture.get(side)) for side in sides)
 
     def read(self, index: int) -> Pixels:
         """Frame `index`, counted from 0. Raises CaptureError where the video ends before it."""
@@ -100,8 +150,10 @@ class VideoFrame:
         """How messages name it."""
         return f"{self.video.path}: frame {self.index}"
 
-    def read(self) -> Pixels:
-        """The picture. Raises CaptureError where the video ends before it."""
+    def read(self, size: tuple[int, int] | None = None, why: str = "") -> Pixels:
+        """The picture; size, why: as of an image. Raises CaptureError where the video ends before it."""
+        if size is not None and self.video.size != size:
+            raise fault(self.where, f"is {_in_words(self.video.size)}", f"{_in_words(size, '')}{why}")
         return self.video.read(self.index)
 
 

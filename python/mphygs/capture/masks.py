@@ -33,11 +33,8 @@ def mask_of_plate(
     return mask.astype(np.float32)
 
 
-def checked_mask(mask: np.ndarray, size: tuple[int, int], where: str) -> np.ndarray:
-    """`mask` (H, W) unless it is empty or not of `size` (H, W), for which CaptureError is raised."""
-    if mask.shape != size:
-        have, want = (f"{columns} x {rows}" for rows, columns in (mask.shape, size))
-        raise fault(where, f"the mask is {have} pixels", f"{want}, as its picture")
+def checked_mask(mask: np.ndarray, where: str) -> np.ndarray:
+    """`mask` (H, W) unless it is empty, for which CaptureError is raised."""
     if (mask >= 0.5).mean() < _LEAST_SHARE:
         raise fault(where, "the mask is empty", "white where the object is seen")
     return mask

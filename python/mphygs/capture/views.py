@@ -66,29 +66,22 @@ class View:
         the plate, a picture of the background alone. Raises CaptureError where a file cannot be read, is of
         another size than the camera, or shows nothing of the object.
         """
-        pixels = self.source.read()
-        size = (self.camera.height, self.camera.width)
-        if pixels.colour.shape[:2] != size:
-            have, want = (f"{columns} x {rows}" for rows, columns in (pixels.colour.shape[:2], size))
-            raise fault(self.source.where, f"is {have} pixels", f"{want}, as camera {self.camera.name} says")
+        size = (self.camera.width, self.camera.height)
+        pixels = self.source.read(size, f", as camera {self.camera.name} says")
         where = self.source.where
         if self.mask is not None:
-            mask, where = mask_of_picture(self.mask.read()), self.mask.where
+            mask, where = mask_of_picture(self.mask.read(size, ", as its picture")), self.mask.where
         elif pixels.alpha is not None:
             mask = pixels.alpha
         elif self.plate is not None:
-            plate = self.plate.read().colour
-            if plate.shape != pixels.colour.shape:
-                rows, columns = plate.shape[:2]
-                raise fault(self.plate.where, f"is {columns} x {rows} pixels", "the size of its pictures")
-            mask = mask_of_plate(pixels.colour, plate)
+            mask = mask_of_plate(pixels.colour, self.plate.read(size, ", the size of its pictures").colour)
         else:
             raise fault(
                 where,
                 "nothing says where the object is in it",
                 "a mask in masks/, an alpha channel, or a picture of the background in background/",
             )
-        mask = checked_mask(mask, size, where)
+        mask = checked_mask(mask, where)
         colour = undistort_image(self.camera, pixels.colour)
         return Photograph(undistorted(self.camera), colour, undistort_image(self.camera, mask))
 
