@@ -172,10 +172,11 @@ def run(
     options = _parse(options_type, program, argv)
     if isinstance(options, int):
         return options
-    for name, least in (("workers", 1), ("seed", 0)):
+    for name, least, most in (("workers", 1, 4096), ("seed", 0, (1 << 64) - 1)):
         value = getattr(options, name, None)
-        if value is not None and value < least:
-            sys.stderr.write(f"{program}: --{name}: got {value}; expected {least} or more\n")
+        if value is not None and not least <= value <= most:
+            more = f", at most {most}" if value > most else ""
+            sys.stderr.write(f"{program}: --{name}: got {value}; expected {least} or more{more}\n")
             return AT_FAULT
     console = Console(sys.stderr)
     answer, code = _guarded(action, options, console, program)

@@ -203,13 +203,19 @@ class Entry:
             raise self.wrong("an integer")
         return self.value
 
-    def array(self, shape: tuple[int | None, ...]) -> np.ndarray:
-        """The value as a float64 array of `shape`, in which None stands for any size above zero."""
+    def array(self, shape: tuple[int | None, ...], *, most: float = math.inf) -> np.ndarray:
+        """The value as a float64 array of `shape`, in which None stands for any size above zero.
+
+        most: no number in it may be further from zero.
+        """
         expected = f"an array of shape {written(shape)}"
 
         def numbers(entry: Entry, sizes: tuple[int | None, ...]) -> object:
             if not sizes:
-                return entry.number()
+                number = entry.number()
+                if abs(number) > most:
+                    raise entry.wrong(f"a number of at most {most:g}")
+                return number
             if not isinstance(entry.value, list):
                 raise entry.wrong(f"{expected} at {self.key}")
             if len(entry.value) != (len(entry.value) or 1 if sizes[0] is None else sizes[0]):

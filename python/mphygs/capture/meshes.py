@@ -56,9 +56,7 @@ def read_part(folder: Path, entry: Entry) -> Part:
     name = entry["name"].name()
     scale = 1.0
     if given := entry.get("scale"):
-        scale = given.number()
-        if scale <= 0:
-            raise given.wrong("a number above zero (file unit -> metre)")
+        scale = given.within(1e-12, 1e12, "a number above zero (file unit -> metre)")
     vertices, faces = read_mesh(file_inside(folder, entry["mesh"]))
     return Part(name=name, vertices=vertices * scale, faces=faces)
 

@@ -135,6 +135,9 @@ def fitted(
         f"{capture.name}: {', '.join(state.ranges)}; {len(state.belief.free)} unknowns, "
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
+    for recording in capture.sequences:
+        for note in () if recording.markers is None else recording.markers.notes:
+            console.say(f"{recording.name}: {note}")
     console.begin()
     if state.options.get("homogeneous"):
         from mphygs.baselines.homogeneous import fit_homogeneous
