@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture_example import FRAMES, Example, shared
+from capture_example import FRAMES, Example, bar, shared
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture
+from mphygs.capture.meshes import write_mesh
 
 
 def test_the_example_is_read(tmp_path: Path) -> None:
@@ -344,3 +345,13 @@ def test_values_that_cannot_be_meant(keys: tuple, value: object, words: str, tmp
     inner[keys[-1]] = value
     line = example.complaint()
     assert words in line and line.isprintable() and len(line) < 2000
+
+
+@pytest.mark.parametrize("thickness", [1e-6, 2e-5, 5e-5])
+def test_a_part_too_thin_for_any_grid(thickness: float, tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    sheet = bar((0, -0.05, 0.0), (0.1, 0.05, thickness))
+    write_mesh(tmp_path / "low.ply", sheet.vertices, sheet.faces)
+    example.document["object"] |= {"parts": [{"name": "low", "mesh": "low.ply"}], "known": {}}
+    line = example.complaint()
+    assert 'part "low" is' in line and "m thick" in line and "expected at least 1/1500" in line

@@ -18,6 +18,7 @@ LONGEST_NAME = 100  # bytes, of a part or a sequence
 ACCELERATION = 1e5  # [m/s^2], by a load
 FAR = 100.0  # sizes of the object, that anything of it moves
 STRETCH = 5.0  # sizes of the object, between a marker and what is held
+THINNEST = 1.0 / 1500.0  # of a part's size
 _USUAL_DENSITY = 1000.0  # [kg/m^3]
 GRAVITY = 300.0  # [m/s^2]; more is another unit than m/s^2
 
@@ -84,6 +85,13 @@ def _check_units(file: str, capture: Capture) -> None:
                 f'part "{part.name}" is {part_size:.3g} m across in an object of {size:.3g} m',
                 "parts of like size; units look off by 1000: set scale to 1000 times its value here, "
                 "or to 0.001 times its value in the others",
+            )
+        thickness = 2.0 * part.volume / part.area
+        if thickness < THINNEST * part_size:
+            raise fault(
+                f"{file}: object.parts[{index}].mesh",
+                f'part "{part.name}" is {thickness:.2g} m thick, 1/{part_size / thickness:.0f} of its size',
+                f"at least 1/{1 / THINNEST:.0f}, for no grid resolves less (are all axes in one unit?)",
             )
     if known.mass is not None:
         volume = sum(part.volume for part in capture.parts)

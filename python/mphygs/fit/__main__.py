@@ -35,6 +35,8 @@ from mphygs.simulate.settings import Settings, available_cores, check_effects
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
+# In one pass over the frames of a sequence.
+MOST_SUBSTEPS = 1e7
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
 
@@ -124,7 +126,7 @@ def fitted(
     settings = replace(state.settings, workers=options.workers or available_cores())
     experiment = Experiment(capture, settings, dict(state.ranges))
     # What is at fault with the capture on this grid is said here, before an older run is taken away.
-    experiment.problem(state.settings.spacing)
+    _check_duration(experiment, state)
     if not state.history and not state.answer:
         clear(state.folder, plugin=options.plugin)
     if ready is not None:
@@ -164,6 +166,20 @@ def fitted(
     state = replace(state, answer=answer)
     state.save()
     return state, capture
+
+
+def _check_duration(experiment: Experiment, state: Run) -> None:
+    """Raises OptionError where a motion is so long that simulating it once takes hours."""
+    problem = experiment.problem(state.settings.spacing)
+    for name, (_, last) in state.ranges.items():
+        predictor = problem.predictors[name]
+        seconds = last / predictor.recording.fps
+        count = seconds / predictor.stable_substep(state.start)
+        if count > MOST_SUBSTEPS:
+            raise OptionError(
+                f"sequence '{name}': {seconds:.3g} s of motion are {count:.1g} substeps; expected at most "
+                f"{MOST_SUBSTEPS:.0e} (is fps {predictor.recording.fps:g} right?), or fewer --frames"
+            )
 
 
 def _answer(
