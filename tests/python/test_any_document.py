@@ -66,7 +66,7 @@ VALUES = st.one_of(
     st.lists(NUMBERS, max_size=4),
     st.lists(TEXTS, max_size=3),
     st.dictionaries(TEXTS, NUMBERS, max_size=2),
-    st.just([[[[]]]]),
+    st.builds(lambda: [[[[]]]]),
 )
 Keys = tuple[str | int, ...]
 

@@ -87,9 +87,12 @@ def experiment_of(
 
 
 def _check_places(run: Run, capture: Capture) -> None:
-    """Frames and markers of a run that its capture has. Raises ValueError."""
+    """Parts, frames and markers of a run that its capture has. Raises ValueError."""
     recordings = {recording.name: recording for recording in capture.sequences}
     where = f"{run.folder}: damaged"
+    parts = tuple(part.name for part in capture.parts)
+    if run.belief.parts != parts:
+        raise ValueError(f"{where}: parts {', '.join(run.belief.parts)}; expected {', '.join(parts)}")
     for name in (*run.ranges, *run.left_out):
         if name not in recordings:
             raise ValueError(f"{where}: sequence '{name}'; expected some of {', '.join(recordings)}")
