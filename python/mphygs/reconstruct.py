@@ -14,6 +14,7 @@ import tyro
 
 from mphygs.capture.colmap import ColmapPoints, read_colmap_points
 from mphygs.capture.errors import fault
+from mphygs.capture.files import colmap_folder
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.views import Photograph, RestViews, rest_views_of, sequence_views_of
@@ -151,7 +152,7 @@ def shrunk(photographs: Sequence[Photograph], longest: int) -> list[Photograph]:
 
 
 def _colmap_points(folder: Path) -> ColmapPoints | None:
-    if (folder / "transforms.json").is_file() or not (folder / "sparse" / "0").is_dir():
+    if (folder / "transforms.json").is_file() or colmap_folder(folder) is None:
         return None
     return read_colmap_points(folder)
 

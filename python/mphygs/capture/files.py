@@ -45,9 +45,20 @@ def views_inside(folder: Path, entry: Entry) -> Path:
     path = path_inside(folder, entry)
     if not path.is_dir():
         raise entry.fault(f"{path} is not a folder", "a folder of views")
-    if not (path / "transforms.json").is_file() and not (path / "sparse" / "0").is_dir():
+    if not (path / "transforms.json").is_file() and colmap_folder(path) is None:
         raise entry.fault(f"{path} holds no cameras", "transforms.json or sparse/0 in it")
     return path
+
+
+def colmap_folder(folder: Path) -> Path | None:
+    """Where the COLMAP model of a folder of views stands, as it and its wrappers put it; None without one."""
+    usual = folder / "sparse" / "0"
+    places = [usual, folder / "sparse", *sorted((folder / "sparse").glob("[1-9]"))]
+    places += [folder / "colmap" / "sparse" / "0", folder / "colmap" / "sparse", folder / "colmap"]
+    found = [
+        place for place in places if any((place / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))
+    ]
+    return found[0] if found else usual if usual.is_dir() else None
 
 
 @dataclass(frozen=True)

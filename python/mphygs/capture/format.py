@@ -170,7 +170,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         if markers
         else None,
         views=views_inside(folder, views) if views else None,
-        first_frame=first or 0,
+        first_frame=first,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,9 @@ from mphygs.capture.picture_heads import PictureHead, picture_head
 from mphygs.capture.written import replace_file
 
 # Of a picture that nothing states the size of, and of any file.
+_UNSTEADY = 0.5  # of the usual time between frames
 MOST_PIXELS, _LARGEST_FILE = 50_000_000, 400_000_000
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
 
 
@@ -109,10 +112,35 @@ class Video:
         if not self._capture.isOpened():
             raise fault(str(path), "is no video that can be read", f"one of {', '.join(VIDEO_SUFFIXES)}")
 
+    @cached_property
+    def times(self) -> np.ndarray:
+        """(T,) when each frame is shown that can be decoded [s].
+
+        Counted one by one: the head of a video that was cut without packing it again says more than it shows.
+        """
+        capture, times = cv2.VideoCapture(str(self.path)), []
+        while capture.grab():
+            times.append(1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC))
+        capture.release()
+        return np.array(times)
+
     @property
     def frame_count(self) -> int:
-        """Number of frames that the file says it has."""
-        return int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        """Number of frames that can be decoded."""
+        return len(self.times)
+
+    def check_steady(self) -> None:
+        """Raises CaptureError where frames do not follow one another at one rate."""
+        apart = np.diff(self.times)
+        usual = float(np.median(apart)) if len(apart) else 0.0
+        if usual > 0 and np.abs(apart - usual).max() > _UNSTEADY * usual:
+            frame = int(np.argmax(np.abs(apart - usual)))
+            raise fault(
+                str(self.path),
+                f"frame {frame + 1} is shown {1e3 * apart[frame]:.0f} ms after the one before it, where "
+                f"{1e3 * usual:.0f} ms are usual",
+                "frames at one rate, none dropped",
+            )
 
     @property
     def size(self) -> tuple[int, int]:

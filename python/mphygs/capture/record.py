@@ -31,8 +31,8 @@ class Sequence:
 
     fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
     rest until this frame; views: the folder of the measured video; first_frame: of the files' frames, the one
-    that is frame 0; turn: (3, 3) rotation from the frame that
-    the sequence is told in to the one that gravity is told in, None where they are one.
+    that is frame 0, None where it is the first and they are no longer; turn: (3, 3) rotation from the frame
+    that the sequence is told in to the one that gravity is told in, None where they are one.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Sequence:
     release: int | None = None
     markers: Markers | None = None
     views: Path | None = None
-    first_frame: int = 0
+    first_frame: int | None = None
     turn: np.ndarray | None = None
 
 
