@@ -22,8 +22,8 @@ CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
 # Cases about stated errors, verdicts and formulas: they ask for hours, and what they ask is a number's.
 STATISTICS = (
     "c3d_zero_dropouts", "diagnose_tether_bound", "false-formula-quant", "false-formula-survey", "fe-z",
-    "gravity-0", "marker_labels_swapped", "null-dropped", "null-fps", "null-gtilt", "null-heavy", "null-jitter",
-    "stiff_strip", "twang_start", "two-part-z", "verdict-by-stated-sigma",
+    "gravity-0", "marker_labels_swapped", "null-dropped", "null-fps", "null-gtilt", "null-heavy",
+    "null-jitter", "stiff_strip", "twang_start", "two-part-z", "verdict-by-stated-sigma",
 )  # fmt: skip
 # What a command says of a case that it is to refuse.
 REFUSED = {
