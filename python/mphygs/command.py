@@ -6,29 +6,38 @@ Exit code 0: done; 2: the input or the options are at fault; 1: anything else; 1
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import math
 import os
 import re
+import shlex
 import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TextIO, TypeVar
 
 import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
+from mphygs.capture.errors import one_line
 from mphygs.fit.countdown import duration
+from mphygs.in_use import held, hold
+from mphygs.model.user_effect import load_plugin
 
 DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
 # Set to anything, this shows where an error comes from.
 TRACEBACK_VARIABLE = "MPHYGS_TRACEBACK"
-# A file or a folder that cannot be what it was to be.
-_NO_PLACE = (FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
+# What the system says of a place that cannot be written to, whatever is tried again.
+_NO_PLACE = {
+    errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG,
+    errno.ELOOP, errno.ENOENT,
+}  # fmt: skip
 
 
 class OptionError(ValueError):
@@ -41,6 +50,9 @@ class CommonOptions:
 
     json: bool = False
     """Print exactly one JSON object on standard output; everything else goes to standard error."""
+    plugin: Path | None = None
+    """Python file that registers effects of your own, to be named like the others. It is run where it is
+    named here and nowhere else, whatever a run says of the file that it was made with."""
 
 
 OptionsType = TypeVar("OptionsType", bound=CommonOptions)
@@ -87,11 +99,6 @@ class Console:
 def names(text: str | None) -> tuple[str, ...]:
     """The names of a comma-separated list; none for None and for an empty text."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
-
-
-def one_line(text: str) -> str:
-    """A message with its line breaks taken out."""
-    return " ".join(text.split())
 
 
 def plain(value: object) -> object:
@@ -165,10 +172,11 @@ def run(
     options = _parse(options_type, program, argv)
     if isinstance(options, int):
         return options
-    for name, least in (("workers", 1), ("seed", 0)):
+    for name, least, most in (("workers", 1, 4096), ("seed", 0, (1 << 64) - 1)):
         value = getattr(options, name, None)
-        if value is not None and value < least:
-            sys.stderr.write(f"{program}: --{name}: got {value}; expected {least} or more\n")
+        if value is not None and not least <= value <= most:
+            more = f", at most {most}" if value > most else ""
+            sys.stderr.write(f"{program}: --{name}: got {value}; expected {least} or more{more}\n")
             return AT_FAULT
     console = Console(sys.stderr)
     answer, code = _guarded(action, options, console, program)
@@ -182,6 +190,21 @@ def run(
     return code
 
 
+def _resumed_in(options: CommonOptions) -> Path | None:
+    """The folder in which a command goes on that keeps there what it has found so far."""
+    if not hasattr(options, "resume"):
+        return None
+    if hasattr(options, "out"):
+        return options.out if options.resume else None
+    return getattr(options, "run", None)
+
+
+def _with_plugin(line: str, options: CommonOptions) -> str:
+    """A command line that goes on with a command, with the plugin that it was given."""
+    given = options.plugin is not None and "--plugin" not in line
+    return f"{line} --plugin {shlex.quote(str(options.plugin))}" if given else line
+
+
 def _guarded(
     action: Callable[[OptionsType, Console], Answer], options: OptionsType, console: Console, program: str
 ) -> tuple[Answer | None, int]:
@@ -189,22 +212,29 @@ def _guarded(
         # Simulations have the cores: threads of the linear algebra that wait for work slow them down, and its
         # last digits would depend on how many there are. Whatever a library prints must not reach the
         # answer's stream.
-        with threadpool_limits(1, user_api="blas"), contextlib.redirect_stdout(sys.stderr):
+        with held(), threadpool_limits(1, user_api="blas"), contextlib.redirect_stdout(sys.stderr):
+            if options.plugin is not None:
+                load_plugin(options.plugin)
+            going_on = _resumed_in(options)
+            if going_on is not None and going_on.is_dir():
+                hold(going_on)
             return action(options, console), DONE
     except KeyboardInterrupt:
-        hint = f"; continue with: {console.resume}" if console.resume else ""
+        hint = f"; continue with: {_with_plugin(console.resume, options)}" if console.resume else ""
         console.say(f"{program}: interrupted{hint}")
         return None, INTERRUPTED
     except Exception as error:  # every error ends in one line and its exit code
         if os.environ.get(TRACEBACK_VARIABLE):
             console.say(traceback.format_exc())
         # numpy's LinAlgError is a ValueError that no input explains.
-        at_fault = isinstance(error, (ValueError, FileNotFoundError, *_NO_PLACE)) and not isinstance(
+        at_fault = isinstance(error, (ValueError, FileNotFoundError)) and not isinstance(
             error, np.linalg.LinAlgError
         )
         message = one_line(str(error)) or type(error).__name__
-        if isinstance(error, _NO_PLACE) and error.filename is not None:
-            message = f"{error.filename}: {error.strerror}; expected a place to read and write"
+        if isinstance(error, OSError) and error.filename is not None:
+            at_fault = error.errno in _NO_PLACE
+            where = one_line(str(error.filename2 or error.filename))
+            message = f"{where}: {error.strerror}; expected a place to read and write"
         if isinstance(error, (KeyError, AttributeError, TypeError, IndexError)):
             message = (
                 f"unexpected {type(error).__name__}: {message} (set {TRACEBACK_VARIABLE}=1 to see where)"

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import tyro
 
 from mphygs.capture.format import load_capture
+from mphygs.capture.written import replace_file
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
@@ -43,7 +44,6 @@ from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
 from mphygs.fit.schedule import deciding_spacing, screening_spacing
 from mphygs.image_stages import FOLDER, has_stages, run_stages
-from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs discover"
@@ -73,8 +73,6 @@ class DiscoverOptions(CommonOptions):
     stages: Path | None = None
     """Of a capture in pictures: run folder whose stages are used, and made where they are missing; default:
     the run folder itself."""
-    plugin: Path | None = None
-    """Python file that registers effects of your own: candidates like any other."""
     seed: int = 0
     """Of every bootstrap."""
     workers: int | None = None
@@ -94,12 +92,10 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     first = out / FIRST
     kept = _kept(out) if options.resume else {}
     options = _with_candidates(options, kept, out)
-    if options.plugin is not None:
-        load_plugin(options.plugin)
     candidates = known_effects(options.effects)
     check_effects(options.transfer, candidates or ())
     if not options.resume:
-        claim(out, beside=(FIRST,))
+        claim(out, beside=(FIRST,), plugin=options.plugin)
     given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
     seen = load_capture(options.capture) if options.capture is not None else None
     if not options.resume:
@@ -239,7 +235,7 @@ def _conclude(
         drift = drift_entries(found.rankings[0])
     if entries is not None:
         document = diagnosis_document(found, entries, missing, drift=drift)
-        (out / DIAGNOSIS).write_text(json.dumps(plain(document), indent=1) + "\n")
+        replace_file(out / DIAGNOSIS, json.dumps(plain(document), indent=1) + "\n")
     return answer
 
 

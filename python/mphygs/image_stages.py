@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.written import replace_file
 from mphygs.command import DONE, INTERRUPTED, Console
 from mphygs.fit.image_capture import is_pictured
 from mphygs.fit.stage_files import StageFolder
@@ -102,7 +103,7 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
             )
         seconds[stage.name] = seconds.get(stage.name, 0.0) + time.monotonic() - began
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / SECONDS).write_text(json.dumps(seconds, indent=1) + "\n")
+        replace_file(folder / SECONDS, json.dumps(seconds, indent=1) + "\n")
     return seconds
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,8 @@ import tyro
 
 from mphygs.capture.format import Capture, Markers
 from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.written import replace_arrays
+from mphygs.claim import claim_output, kept_inside
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.fit.experiment import Experiment
@@ -27,6 +28,7 @@ from mphygs.simulate.prediction import Prediction, Predictor
 PROGRAM = "mphygs predict"
 # Points of the surface that are predicted with the markers, to be looked at.
 SURFACE_POINTS = 1500
+PREDICTIONS = "predictions"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +58,9 @@ def predict(options: PredictOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
     recordings = _chosen(experiment.capture, names(options.sequences))
-    folder = options.out or state.folder / "predictions"
-    folder.mkdir(parents=True, exist_ok=True)
+    if options.out is not None:
+        claim_output(options.out)
+    folder = options.out or kept_inside(state.folder, PREDICTIONS)
     spacing = state.settings.spacing
     surface = surface_points(experiment.capture)
     found: dict[str, dict[str, object]] = {}
@@ -143,15 +146,13 @@ def _same_hold(experiment: Experiment, recording: Recording) -> list[Predictor]:
 
 def _write(path: Path, prediction: Prediction, markers: int, recording: Recording) -> None:
     """times [s], position and velocity of the markers (T, M, 3), surface (T, V, 3), in m and m/s."""
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        times=prediction.frames / recording.fps,
-        position=prediction.position[:, :markers],
-        velocity=prediction.velocity[:, :markers],
-        surface=prediction.position[:, markers:],
-    )
-    path.write_bytes(buffer.getvalue())
+    arrays = {
+        "times": prediction.frames / recording.fps,
+        "position": prediction.position[:, :markers],
+        "velocity": prediction.velocity[:, :markers],
+        "surface": prediction.position[:, markers:],
+    }
+    replace_arrays(path, arrays)
 
 
 if __name__ == "__main__":

@@ -14,9 +14,11 @@ import tyro
 
 from mphygs.capture.colmap import ColmapPoints, read_colmap_points
 from mphygs.capture.errors import fault
+from mphygs.capture.files import colmap_folder
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.views import Photograph, RestViews, rest_views_of, sequence_views_of
+from mphygs.claim import claim
 from mphygs.command import Answer, CommonOptions, Console, OptionError, run
 from mphygs.render.contact_sheet import contact_sheet
 from mphygs.render.density_control import DensityRule
@@ -61,6 +63,7 @@ def reconstruct_command(options: ReconstructOptions, console: Console) -> Answer
     """Make the stage unless it is there; draw it; say how well the views are explained."""
     console.resume = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(options.out))}"
     capture = load_capture(options.capture)
+    claim(options.out)
     stage, state, gaussians = rest_stage(capture, options, console)
     document: dict[str, object] = {
         "run": str(options.out),
@@ -149,7 +152,7 @@ def shrunk(photographs: Sequence[Photograph], longest: int) -> list[Photograph]:
 
 
 def _colmap_points(folder: Path) -> ColmapPoints | None:
-    if (folder / "transforms.json").is_file() or not (folder / "sparse" / "0").is_dir():
+    if (folder / "transforms.json").is_file() or colmap_folder(folder) is None:
         return None
     return read_colmap_points(folder)
 

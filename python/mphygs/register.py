@@ -14,6 +14,7 @@ import torch
 import tyro
 
 from mphygs.capture.rotation import rotation_vector_from_quaternion
+from mphygs.claim import claim
 from mphygs.command import Answer, CommonOptions, Console, OptionError, run
 from mphygs.motion.pictures import write_register_picture
 from mphygs.motion.rigid import RigidMotion
@@ -51,7 +52,8 @@ class VideoOptions(CommonOptions):
             raise OptionError(f"--control-points: got {self.control_points}; expected at least 5") from error
 
     def open(self) -> VideoRun:
-        """What the stages work on."""
+        """What the stages work on; the run folder is held from here."""
+        claim(self.out)
         return VideoRun.open(self.capture, self.out, self.gaussians, self.longest)
 
     def resume(self, program: str) -> str:

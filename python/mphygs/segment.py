@@ -18,6 +18,7 @@ from mphygs.capture.images import write_image
 from mphygs.capture.mask_groups import MaskGrouper, Superpixels
 from mphygs.capture.mask_groups_sam import SamGroups
 from mphygs.capture.views import Photograph, rest_views_of
+from mphygs.claim import claim
 from mphygs.command import Answer, CommonOptions, Console, OptionError, run
 from mphygs.reconstruct import ReconstructOptions, rest_stage, shrunk
 from mphygs.render.found_object import ObjectSettings, found_object
@@ -86,14 +87,13 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
     settings = _settings(options)
     tools = _tools(options)
     capture = load_capture(options.capture)
+    claim(options.out)
     rest = ReconstructOptions(capture=options.capture, out=options.out, longest=options.longest)
     rest_folder, _, gaussians = rest_stage(capture, rest, console, any_options=True)
     photographs = _photographs(capture, gaussians, options)
     views = None if capture.views is None else folder_digest(capture.views)
     console.begin()
-    first, features = features_stage(
-        options, tools, rest_folder, views, gaussians, photographs, console
-    )
+    first, features = features_stage(options, tools, rest_folder, views, gaussians, photographs, console)
     second, particles, parts = object_stage(
         options, settings, (rest_folder, first), views, gaussians, features, photographs, console
     )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from mphygs.capture.written import replace_file
 from mphygs.command import OptionError, plain
 
 NOTE = "made.json"
@@ -83,9 +83,7 @@ class Stage:
         self._write({"made_of": self.made_of, "files": digests})
 
     def _write(self, note: Mapping[str, object]) -> None:
-        waiting = self.folder / f"{NOTE}.part"
-        waiting.write_text(json.dumps(note, indent=1) + "\n", encoding="utf-8")
-        os.replace(waiting, self.folder / NOTE)
+        replace_file(self.folder / NOTE, json.dumps(note, indent=1) + "\n")
 
     def _note(self) -> dict | None:
         path = self.folder / NOTE

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture_example import FRAMES, Example, shared
+from capture_example import FRAMES, Example, bar, shared
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture
+from mphygs.capture.meshes import write_mesh
 
 
 def test_the_example_is_read(tmp_path: Path) -> None:
@@ -157,7 +158,7 @@ OBJECT, PART, FIRST = ("object",), ("object", "parts", 0), ("sequences", 0)
             set_key(*PART, "mesh", value="../low.ply"),
             'object.parts[0].mesh: "../low.ply" leads out of the folder',
         ),
-        (set_key(*PART, "mesh", value="hold.npz"), "hold.npz: cannot be read as a mesh"),
+        (set_key(*PART, "mesh", value="hold.npz"), "hold.npz: is an archive; expected a closed"),
         (set_key(*PART, "scale", value=0), "object.parts[0].scale: is 0; expected a number above zero"),
         (
             rename_first("high"),
@@ -193,7 +194,7 @@ OBJECT, PART, FIRST = ("object",), ("object", "parts", 0), ("sequences", 0)
             "object.known.mass: 0.01 kg is less than the 0.02 kg",
         ),
         (set_key(*OBJECT, "known", "youngs_modulus", value=1), "known.youngs_modulus: unknown key"),
-        (set_key(*FIRST, "fps", value=0), "sequences[0].fps: is 0; expected frames per second above zero"),
+        (set_key(*FIRST, "fps", value=0), "sequences[0].fps: is 0; expected frames per second from 0.1"),
         (set_key(*FIRST, "fps", value="30"), 'sequences[0].fps: is "30"; expected a number'),
         (set_key(*FIRST, "frames", value=0), "sequences[0].frames: is 0; expected at least 1"),
         (set_key(*FIRST, "frames", value=12.0), "sequences[0].frames: is 12.0; expected an integer"),
@@ -299,3 +300,58 @@ def test_silicone_beam_loads() -> None:
     assert capture.known.density == {"beam": 1070.0}
     assert np.isclose(capture.parts[0].volume, 9e-5, rtol=1e-6)
     assert capture.sequence("load101-a").loads[0].start_frame == 51
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "words"),
+    [
+        (("sequences", 0, "fps"), 1e-6, "fps: is 1e-06; expected frames per second from 0.1"),
+        (("sequences", 0, "fps"), 1e308, "fps: is 1e+308; expected frames per second"),
+        (("sequences", 0, "fps"), 0.001, "fps: is 0.001"),
+        (("sequences", 0, "frames"), 10**12, "frames: is 1000000000000; expected at least 1, at most"),
+        (("sequences", 0, "markers", "sigma"), 1e-320, "sigma: is 1e-320; expected a standard deviation"),
+        (("sequences", 0, "markers", "sigma"), 1e300, "sigma: is 1e+300"),
+        (("sequences", 0, "markers", "at", 1, 0), 1e300, "at[1][0]: is 1e+300; expected a number of at most"),
+        (("sequences", 0, "loads", 0, "force"), [0, 0, -1e6], "force: 1e+06 N on an object of about 0.04 kg"),
+        (("sequences", 0, "loads", 0, "force"), [1e4, 0, 0], "times its weight; expected at most"),
+        (
+            ("sequences", 0, "loads", 0, "force", 2),
+            1e300,
+            "force[2]: is 1e+300; expected a number of at most",
+        ),
+        (("sequences", 0, "held", 0, "box", 0, 0), -1e300, "box[0][0]: is -1e+300"),
+        (("sequences", 0, "release"), 1e300, "release: is 1e+300; expected an integer"),
+        (("gravity", 2), 1e300, "gravity[2]: is 1e+300"),
+        (("gravity", 2), -9810, "gravity: is 9810 m/s^2 strong"),
+        (("object", "known", "mass"), 1e300, "mass: is 1e+300"),
+        (("object", "known", "mass"), 5e-324, "mass: is 5e-324"),
+        (("object", "known", "density"), {"low": 1e300}, "density.low: is 1e+300"),
+        (("object", "known", "density"), 1e-300, "is 1e-300 kg/m^3; expected 5 to"),
+        (("object", "parts", 0, "scale"), 1e300, "scale: is 1e+300"),
+        (("object", "parts", 0, "scale"), 1e-300, "scale: is 1e-300"),
+        (("object", "parts", 0, "name"), "x" * 5000, "name: is a text of 5000 characters"),
+        (("sequences", 0, "name"), "n" * 150, "at most 100 bytes"),
+        (("sequences", 0, "name"), "a\u0007b", "name: holds characters that do not print"),
+        (("name",), "\u001b[2J", "name: holds characters that do not print"),
+        (("name",), 7, "name: is 7; expected a text"),
+        (("sequences", 0, "markers", "file"), "x\u001b[31m" * 900, "file: "),
+    ],
+)
+def test_values_that_cannot_be_meant(keys: tuple, value: object, words: str, tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    inner = example.document
+    for key in keys[:-1]:
+        inner = inner[key]
+    inner[keys[-1]] = value
+    line = example.complaint()
+    assert words in line and line.isprintable() and len(line) < 2000
+
+
+@pytest.mark.parametrize("thickness", [1e-6, 2e-5, 5e-5])
+def test_a_part_too_thin_for_any_grid(thickness: float, tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    sheet = bar((0, -0.05, 0.0), (0.1, 0.05, thickness))
+    write_mesh(tmp_path / "low.ply", sheet.vertices, sheet.faces)
+    example.document["object"] |= {"parts": [{"name": "low", "mesh": "low.ply"}], "known": {}}
+    line = example.complaint()
+    assert 'part "low" is' in line and "m thick" in line and "expected at least 1/1500" in line

@@ -159,3 +159,16 @@ def test_a_box_inside_the_material_without_any_vertex_holds_it(tmp_path: Path) -
     example = Example(tmp_path)
     example.sequence["held"][0]["box"] = [[0.01, -0.002, -0.002], [0.012, 0.002, 0.002]]
     assert len(example.load().sequence("a").held) == 1
+
+
+@pytest.mark.parametrize("degrees", [100.0, 180.0, 175.0])
+def test_poses_that_turn_too_far_in_a_frame(degrees: float, tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    angle = np.radians(degrees) * np.arange(FRAMES)[:, None] * [[0.0, 1.0, 0.0]]
+    motion = {"position": np.zeros((FRAMES, 3)), "quaternion": quaternion_from_rotation_vector(angle)}
+    np.savez(tmp_path / "hold.npz", **motion)
+    assert f"quaternion: turns by {degrees:.0f} degrees to frame" in example.complaint()
+    motion["quaternion"] = quaternion_from_rotation_vector(0.4 * angle)
+    motion["quaternion"][::2] *= -1
+    np.savez(tmp_path / "hold.npz", **motion)
+    assert not example.load().sequences[0].held[0].is_fixed

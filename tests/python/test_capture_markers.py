@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import ezc3d
 import numpy as np
 import pytest
 
@@ -222,3 +223,117 @@ def test_silicone_beam_base_markers_stay_at_their_places(name: str) -> None:
     tip = np.delete(sequence.markers.position, base, axis=1)
     fall = tip[sequence.release :, :, 2].min() - tip[: sequence.release, :, 2].min()
     assert -0.1 < fall < -0.005
+
+
+# ---- files as people have them ----------------------------------------------------------------
+def test_zeros_for_gaps_are_noticed_and_said(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    track = example.tracks.copy()
+    track[[2, 7, 8], 0] = 0.0
+    track[9:, 3] = 0.0
+    np.savez(tmp_path / "markers.npz", position=track)
+    markers = example.load().sequences[0].markers
+    assert np.isnan(markers.position[[2, 7, 8], 0]).all() and np.isnan(markers.position[9:, 3]).all()
+    assert np.isfinite(markers.position[:9, 3]).all()
+    assert markers.notes == (
+        "6 marker positions of exactly 0 0 0 are taken as not measured (zero_is_missing)",
+    )
+    example.sequence["markers"]["zero_is_missing"] = False
+    assert (
+        "marker" in example.complaint()
+        if np.linalg.norm(AT[0]) > 0.5
+        else not example.load().sequences[0].markers.notes
+    )
+    example.sequence["markers"]["zero_is_missing"] = "yes"
+    assert 'zero_is_missing: is "yes"; expected true or false' in example.complaint()
+
+
+def test_a_marker_that_is_at_zero_is_there(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    at = AT.copy()
+    at[2] = 0.0
+    track = example.tracks - AT + at
+    track[:6, 2] = 0.0
+    np.savez(tmp_path / "markers.npz", position=track)
+    example.sequence["markers"]["at"] = at.tolist()
+    markers = example.load().sequences[0].markers
+    assert markers.notes == () and (markers.position[:6, 2] == 0.0).all()
+    example.sequence["markers"]["zero_is_missing"] = True
+    assert np.isnan(example.load().sequences[0].markers.position[:6, 2]).all()
+
+
+def test_zeros_of_a_c3d_are_those_of_its_own_frame(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    track = example.tracks + [2.0, 1.0, 0.5]
+    track[7, 1] = 0.0
+    write_c3d(tmp_path / "markers.c3d", track, labels=NAMES)
+    example.sequence["markers"]["file"] = "markers.c3d"
+    markers = example.load().sequences[0].markers
+    assert np.isnan(markers.position[7, 1]).all() and len(markers.notes) == 1
+    assert np.nanmax(np.abs(markers.position[0] - AT)) < 1e-3
+
+
+def test_a_c3d_that_begins_with_unseen_markers(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    del example.sequence["release"]
+    example.sequence["loads"] = []
+    track = example.tracks.copy()
+    track[:5] = np.nan
+    track[6:] = track[5]
+    write_c3d(tmp_path / "markers.c3d", track + [1.0, 0, 0], labels=NAMES)
+    example.sequence["markers"]["file"] = "markers.c3d"
+    assert np.nanmax(np.abs(example.load().sequences[0].markers.position[5:] - AT)) < 1e-3
+
+
+@pytest.mark.parametrize("suffix", ["npz", "c3d"])
+def test_a_sequence_may_begin_in_the_midst_of_its_file(suffix: str, tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    longer = np.concatenate([np.tile(AT, (3, 1, 1)) + 1e-4, example.tracks, np.tile(AT, (2, 1, 1))])
+    if suffix == "npz":
+        np.savez(tmp_path / "markers.npz", position=longer)
+    else:
+        write_c3d(tmp_path / "markers.c3d", longer, labels=NAMES)
+        example.sequence["markers"]["file"] = "markers.c3d"
+    example.sequence["first_frame"] = 3
+    found = example.load().sequences[0].markers.position
+    assert found.shape == example.tracks.shape
+    assert np.nanmax(np.abs(found - example.tracks)) < (1e-12 if suffix == "npz" else 3e-4)
+    example.sequence["first_frame"] = 6
+    assert "has 17 frames; expected at least 18" in example.complaint()
+    for wrong in (-1, 1.5, "3", 10**12):
+        example.sequence["first_frame"] = wrong
+        assert "first_frame: is" in example.complaint()
+
+
+def test_a_c3d_without_points(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    content = ezc3d.c3d()
+    content["parameters"]["POINT"]["RATE"]["value"] = [50.0]
+    content["data"]["points"] = np.ones((4, 0, FRAMES))
+    content.write(str(tmp_path / "markers.c3d"))
+    example.sequence["markers"]["file"] = "markers.c3d"
+    assert "markers.c3d" in example.complaint()
+
+
+@pytest.mark.parametrize("far", [1e3, 1e6, 1e150, 1e300, -1.7e308])
+@pytest.mark.parametrize("frame", [0, 7, FRAMES - 1])
+def test_places_that_no_marker_has_are_refused_in_any_frame(far: float, frame: int, tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    track = example.tracks.copy()
+    track[frame, 2, 1] = far
+    np.savez(tmp_path / "markers.npz", position=track)
+    line = example.complaint()
+    assert f"marker 2 is measured {abs(far):.3g} m from the object in frame {frame}" in line
+
+
+def test_what_is_held_is_not_stretched_beyond_measure(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    track = example.tracks.copy()
+    track[8:, :, 2] -= np.arange(FRAMES - 8)[:, None] * 0.3
+    np.savez(tmp_path / "markers.npz", position=track)
+    assert (
+        "times the size of the object; expected within 5 times its size (is it still held"
+        in example.complaint()
+    )
+    example.sequence["held"] = []
+    assert example.load().sequences[0].markers is not None

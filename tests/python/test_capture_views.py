@@ -113,7 +113,7 @@ def test_rest_views_that_are_refused(rest: Path) -> None:
     write_image(rest / "masks" / "view00.png", np.zeros((32, 32)))
     assert "masks/view00.png: the mask is empty" in complaint(load_rest_views, rest)
     write_image(rest / "masks" / "view00.png", np.ones((16, 32)))
-    assert "the mask is 32 x 16 pixels; expected 32 x 32" in complaint(load_rest_views, rest)
+    assert "view00.png: is 32 x 16 pixels; expected 32 x 32" in complaint(load_rest_views, rest)
     (rest / "masks" / "view00.png").unlink()
     assert "has no mask for view00.png" in complaint(load_rest_views, rest)
     for mask in (rest / "masks").iterdir():

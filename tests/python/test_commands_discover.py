@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from command_example import ETA, SPACING, answer, call, make_capture
+from mphygs import command as frame
 from mphygs import discover, predict
 from mphygs.compare import __main__ as compare
 from mphygs.diagnose import __main__ as diagnose
@@ -15,7 +16,6 @@ from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_for
 from mphygs.extend import __main__ as extend
 from mphygs.extend import kept as kept_steps
 from mphygs.fit import __main__ as fit
-from mphygs.fit import run as run_module
 from mphygs.fit.run import load_run
 
 CANDIDATES = "viscosity,gravity"
@@ -291,7 +291,7 @@ def test_discover_runs_the_loop_and_resumes(
 
 def test_discover_refuses_in_one_line(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plugin = tmp_path / "own.py"
-    monkeypatch.setattr(discover, "load_plugin", lambda _path: ("own",))
+    monkeypatch.setattr(frame, "load_plugin", lambda _path: ("own",))
     for arguments, words in (
         (["--effects", "magic"], "unknown effect 'magic'"),
         (["--effects", "prestress"], "prestress is not scored"),
@@ -347,8 +347,7 @@ def test_a_fit_leaves_the_plugin_that_it_uses(
     shutil.copytree(elastic, out)
     plugin = out / "missing_force.py"
     plugin.write_text("mine")
-    for module in (fit, discover, run_module):
-        monkeypatch.setattr(module, "load_plugin", lambda _path: ("own",))
+    monkeypatch.setattr(frame, "load_plugin", lambda _path: ("own",))
     answer(fit.main, capture, "--out", out, "--spacing", SPACING, "--plugin", plugin)
     assert plugin.read_text() == "mine" and load_run(out).options["plugin"] == str(plugin.resolve())
     # Nor does a diagnosis of that run write over it, or take it away.

@@ -8,13 +8,13 @@ from typing import Literal
 import ezc3d
 import numpy as np
 
-from mphygs.capture.errors import fault
+from mphygs.capture.errors import fault, one_line
 
 _METRES = {"m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 
 
-def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The first `frames` frames (T, M, 3) [m], NaN where a point was not seen, and the M labels.
+def read_c3d(path: Path, *, fps: float, frames: int, first: int = 0) -> tuple[np.ndarray, tuple[str, ...]]:
+    """`frames` frames (T, M, 3) [m] from `first` on, NaN where a point was not seen, and the M labels.
 
     Raises CaptureError when the file is damaged or truncated, has another rate than `fps`, no unit of length,
     or fewer frames.
@@ -29,8 +29,11 @@ def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[
     declared = _declared_frames(path)
     if count < declared:
         raise fault(str(path), f"is truncated: {count} frames of {declared}", "the whole file")
-    if count < frames:
-        raise fault(f"{path}: POINT", f"has {count} frames", f"at least {frames}, as the sequence")
+    if count < first + frames:
+        expected = f"at least {first + frames}, as the sequence"
+        raise fault(f"{path}: POINT", f"has {count} frames", expected)
+    if points.shape[1] == 0:
+        raise fault(f"{path}: POINT", "has no points", "measured markers")
     group = content["parameters"]["POINT"]
     rate = float(content["header"]["points"]["frame_rate"])
     if abs(rate - fps) > 1e-3 * fps:
@@ -41,12 +44,12 @@ def read_c3d(path: Path, *, fps: float, frames: int) -> tuple[np.ndarray, tuple[
         raise fault(f"{path}: POINT:UNITS", f'is "{unit}"', f"one of {', '.join(_METRES)}")
     position = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1).astype(np.float64) * _METRES[unit]
     # points of negative residual, which were not seen, come from ezc3d as NaN
-    position = position[:frames]
+    position = position[first : first + frames]
     if np.isinf(position).any():
         frame, marker, _ = (int(i) for i in np.argwhere(np.isinf(position))[0])
         raise fault(f"{path}: POINT", f"is infinite in frame {frame}, point {marker}", "finite positions")
     labels = list(group["LABELS"]["value"]) if "LABELS" in group else []
-    return position, tuple(label.strip() for label in labels[: points.shape[1]])
+    return position, tuple(one_line(label) for label in labels[: points.shape[1]])
 
 
 def _declared_frames(path: Path) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 
 # from OpenGL's axes of a camera to OpenCV's, and back
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+MOST_PIXELS = 10**8  # of a picture
 DISTORTIONS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
@@ -47,6 +48,9 @@ class Camera:
         if self.width < 1 or self.height < 1:
             size = f"{self.width} x {self.height}"
             raise ValueError(f'camera "{self.name}": its picture is {size} pixels; expected at least 1 x 1')
+        if self.width * self.height > MOST_PIXELS:
+            size = f"{self.width} x {self.height}"
+            raise ValueError(f'camera "{self.name}": its picture is {size} pixels; expected at most 1e8')
         if not (self.focal > 0).all():
             raise ValueError(f'camera "{self.name}": focal lengths {self.focal} px; expected above 0')
         rotation, last = self.camera_from_world[:3, :3], self.camera_from_world[3]

@@ -7,13 +7,19 @@ import re
 import numpy as np
 
 from mphygs.capture.errors import CaptureError, fault
-from mphygs.capture.holds import Hold
+from mphygs.capture.holds import Hold, Load
 from mphygs.capture.markers import Markers
 from mphygs.capture.overlap import box_meets_solid, distance_to_box
 from mphygs.capture.record import Capture, Sequence
 
 SIZE = (1e-3, 20.0)  # [m] of the object
 DENSITY = (5.0, 25000.0)  # [kg/m^3], from light foam to osmium
+LONGEST_NAME = 100  # bytes, of a part or a sequence
+ACCELERATION = 1e5  # [m/s^2], by a load
+FAR = 100.0  # sizes of the object, that anything of it moves
+STRETCH = 5.0  # sizes of the object, between a marker and what is held
+THINNEST = 1.0 / 1500.0  # of a part's size
+_USUAL_DENSITY = 1000.0  # [kg/m^3]
 GRAVITY = 300.0  # [m/s^2]; more is another unit than m/s^2
 
 
@@ -30,8 +36,10 @@ def check_capture(capture: Capture) -> None:
             _check_hold(f"{where}.held[{i}]", capture, hold)
         for i, load in enumerate(sequence.loads):
             _check_material(f"{where}.loads[{i}].box", capture, load.box)
+            _check_load(f"{where}.loads[{i}].force", capture, load)
         if sequence.markers is not None:
             _check_markers(f"{where}.markers", capture, sequence, sequence.markers)
+            _check_tracks(f"{where}.markers", capture, sequence, sequence.markers)
 
 
 def _check_names(where: str, names: list[str], *, dots: bool) -> None:
@@ -44,6 +52,10 @@ def _check_names(where: str, names: list[str], *, dots: bool) -> None:
                 f"{where}[{index}].name",
                 f'is "{name}"',
                 f"letters, digits and, between them, {marks} or spaces",
+            )
+        if len(name.encode()) > LONGEST_NAME:
+            raise fault(
+                f"{where}[{index}].name", f'is "{name}"', f"at most {LONGEST_NAME} bytes: files are named so"
             )
         if name in names[:index]:
             raise fault(f"{where}[{index}].name", f'"{name}" is given twice', "every name once")
@@ -73,6 +85,13 @@ def _check_units(file: str, capture: Capture) -> None:
                 f'part "{part.name}" is {part_size:.3g} m across in an object of {size:.3g} m',
                 "parts of like size; units look off by 1000: set scale to 1000 times its value here, "
                 "or to 0.001 times its value in the others",
+            )
+        thickness = 2.0 * part.volume / part.area
+        if thickness < THINNEST * part_size:
+            raise fault(
+                f"{file}: object.parts[{index}].mesh",
+                f'part "{part.name}" is {thickness:.2g} m thick, 1/{part_size / thickness:.0f} of its size',
+                f"at least 1/{1 / THINNEST:.0f}, for no grid resolves less (are all axes in one unit?)",
             )
     if known.mass is not None:
         volume = sum(part.volume for part in capture.parts)
@@ -124,6 +143,21 @@ def _check_material(where: str, capture: Capture, box: np.ndarray) -> None:
         raise fault(where, "no material of the object lies in it", f"a box [m] that meets {_span(capture)}")
 
 
+def _check_load(where: str, capture: Capture, load: Load) -> None:
+    """A force that would throw the object out of sight is none in N."""
+    if not capture.parts:
+        return
+    known = capture.known
+    mass = known.mass or sum(known.density.get(p.name, _USUAL_DENSITY) * p.volume for p in capture.parts)
+    force = float(np.linalg.norm(load.force))
+    if force > ACCELERATION * mass:
+        raise fault(
+            where,
+            f"{force:.3g} N on an object of about {mass:.2g} kg, {force / mass / 9.81:.2g} times its weight",
+            f"at most {ACCELERATION * mass:.2g} N (is it in N?)",
+        )
+
+
 def _span(capture: Capture) -> str:
     """The object's bounding box in words."""
     bounds = capture.bounds
@@ -144,7 +178,7 @@ def _check_hold(where: str, capture: Capture, hold: Hold) -> None:
         rotation, position = hold.poses(frames, 1.0)
         centre = np.clip(hold.box.mean(axis=0), bounds[0], bounds[1])
         far = float(np.abs(rotation @ centre + position - centre).max())
-        if far > max(100 * size, 5.0):
+        if far > max(FAR * size, 5.0):
             raise fault(
                 f"{where}.motion",
                 f"moves the held points {far:.3g} m, {far / size:.0f} times the size of the object",
@@ -193,3 +227,40 @@ def _check_markers(where: str, capture: Capture, sequence: Sequence, markers: Ma
             f"marker {worst} is measured {away[worst]:.3g} m from there at rest",
             f"measured positions in m in the object frame, within {0.5 * size:.3g} m of at",
         )
+
+
+def _check_tracks(where: str, capture: Capture, sequence: Sequence, markers: Markers) -> None:
+    """Positions that no marker on the object has, in any frame, fitted or not."""
+    bounds, size = capture.bounds, capture.diagonal
+    if bounds is None or size is None:
+        return
+    frames = np.arange(len(markers.position))
+    middle = bounds.mean(axis=0)
+    held = []
+    for hold in sequence.held:
+        rotation, position = hold.poses(frames, 1.0)
+        held.append(rotation @ np.clip(hold.box.mean(axis=0), *bounds) + position)
+    away = np.min([_distance(markers.position, place[:, None]) for place in (*held, middle[None])], axis=0)
+    frame, marker = np.unravel_index(int(np.nanargmax(away)), away.shape)
+    most = max(FAR * size, 5.0)
+    said = f"marker {marker} is measured {away[frame, marker]:.3g} m from the object in frame {frame}"
+    if away[frame, marker] > most:
+        raise fault(f"{where}.file", said, f"positions in m, within {most:.3g} m")
+    if not held:
+        return
+    away = np.min([_distance(markers.position, place[:, None]) for place in held], axis=0)
+    frame, marker = np.unravel_index(int(np.nanargmax(away)), away.shape)
+    if away[frame, marker] > STRETCH * size:
+        raise fault(
+            f"{where}.file",
+            f"marker {marker} is measured {away[frame, marker]:.3g} m from what is held in frame {frame}, "
+            f"{away[frame, marker] / size:.1f} times the size of the object",
+            f"within {STRETCH:g} times its size (is it still held then?)",
+        )
+
+
+def _distance(position: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(T, M) [m], of any size that a number has."""
+    apart = position - place
+    largest = np.abs(apart).max(axis=2, keepdims=True)
+    return largest[..., 0] * np.linalg.norm(apart / np.where(largest > 0, largest, 1.0), axis=2)

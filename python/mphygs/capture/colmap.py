@@ -12,7 +12,7 @@ import numpy as np
 from mphygs.capture.cameras import Camera
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import CaptureError, fault
-from mphygs.capture.files import file_inside
+from mphygs.capture.files import colmap_folder, file_inside
 from mphygs.capture.rotation import matrix_from_quaternion
 from mphygs.capture.shots import Shot
 
@@ -46,13 +46,13 @@ class _Lens:
 
 
 def read_colmap(folder: Path) -> list[Shot]:
-    """The pictures of the model in `folder`/sparse/0, in the order of their names; images are in images/.
+    """The pictures of the model in `folder`, in the order of their names; images are in images/.
 
     The model's unit is taken to be the metre and its axes the object frame's. A picture in a folder of its
     own, `images/<camera>/<frame>.png`, is frame <frame> of that camera; any other is a camera of its own.
     Raises CaptureError for anything that cannot be used.
     """
-    model = folder / "sparse" / "0"
+    model = colmap_folder(folder) or folder / "sparse" / "0"
     lenses = _read(model, "cameras", _cameras_of_text, _cameras_of_bytes)
     shots = []
     images = _read(model, "images", _images_of_text, _images_of_bytes)
@@ -89,10 +89,11 @@ def read_colmap(folder: Path) -> list[Shot]:
 
 def read_colmap_points(folder: Path) -> ColmapPoints:
     """The points of the model in `folder`/sparse/0. Raises CaptureError where they cannot be read."""
-    rows = _read(folder / "sparse" / "0", "points3D", _points_of_text, _points_of_bytes)
+    model = colmap_folder(folder) or folder / "sparse" / "0"
+    rows = _read(model, "points3D", _points_of_text, _points_of_bytes)
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
     if not np.isfinite(table).all():
-        raise fault(f"{folder / 'sparse' / '0'}: points3D", "holds a number that is not finite", "numbers")
+        raise fault(f"{model}: points3D", "holds a number that is not finite", "numbers")
     return ColmapPoints(positions=table[:, :3], colours=table[:, 3:] / 255.0)
 
 

@@ -14,10 +14,18 @@ import numpy as np
 
 from mphygs.capture.errors import CaptureError, fault
 
+# A document holds names and numbers; arrays stand in files of their own.
+_LARGEST = 100_000_000  # bytes
+_LONGEST_NAME = 200  # characters
 
-def read_document(path: Path) -> Entry:
-    """The JSON document at `path` (UTF-8, no comments, no repeated keys, no NaN or Infinity)."""
+
+def read_document(path: Path, *, finite: bool = True) -> Entry:
+    """The JSON document at `path`: UTF-8, no comments, no repeated keys, and, where finite, no NaN or
+    Infinity."""
     try:
+        size = path.stat().st_size
+        if size > _LARGEST:
+            raise fault(str(path), f"has {size} bytes", f"a document of at most {_LARGEST}")
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise fault(str(path), f"byte {error.start} is not UTF-8", "a JSON text file") from error
@@ -36,12 +44,14 @@ def read_document(path: Path) -> Entry:
         raise fault(str(path), f"{name} is not JSON", "finite numbers")
 
     try:
-        value = json.loads(text, object_pairs_hook=pairs, parse_constant=constant)
+        value = json.loads(text, object_pairs_hook=pairs, parse_constant=constant if finite else None)
     except json.JSONDecodeError as error:
         raise fault(f"{path}: line {error.lineno} column {error.colno}", error.msg, "valid JSON") from error
     except CaptureError:
         raise
-    except (ValueError, RecursionError) as error:
+    except RecursionError as error:
+        raise fault(str(path), "is nested too deep", "valid JSON") from error
+    except ValueError as error:
         raise fault(str(path), str(error), "valid JSON") from error
     return Entry(value=value, file=str(path), key="")
 
@@ -147,6 +157,34 @@ class Entry:
             raise self.wrong("a text")
         return self.value
 
+    def name(self) -> str:
+        """The value as a text that can be shown: of one line, not longer than a name is."""
+        text = self.text()
+        if not text.isprintable():
+            raise self.fault("holds characters that do not print", "a name")
+        if len(text) > _LONGEST_NAME:
+            raise self.fault(f"is a text of {len(text)} characters", f"a name of at most {_LONGEST_NAME}")
+        return text
+
+    def choice(self, known: Iterable[str]) -> str:
+        """The value as one of a few words."""
+        if self.value not in tuple(known):
+            raise self.wrong(f"one of {', '.join(known)}")
+        return self.text()
+
+    def flag(self) -> bool:
+        """The value as true or false."""
+        if not isinstance(self.value, bool):
+            raise self.wrong("true or false")
+        return self.value
+
+    def within(self, lower: float, upper: float, meaning: str) -> float:
+        """The value as a number from `lower` to `upper`; meaning: what it is, with its unit."""
+        number = self.number()
+        if not lower <= number <= upper:
+            raise self.wrong(f"{meaning} from {lower:g} to {upper:g}")
+        return number
+
     def number(self) -> float:
         """The value as a finite number."""
         if isinstance(self.value, bool) or not isinstance(self.value, int | float):
@@ -165,13 +203,19 @@ class Entry:
             raise self.wrong("an integer")
         return self.value
 
-    def array(self, shape: tuple[int | None, ...]) -> np.ndarray:
-        """The value as a float64 array of `shape`, in which None stands for any size above zero."""
+    def array(self, shape: tuple[int | None, ...], *, most: float = math.inf) -> np.ndarray:
+        """The value as a float64 array of `shape`, in which None stands for any size above zero.
+
+        most: no number in it may be further from zero.
+        """
         expected = f"an array of shape {written(shape)}"
 
         def numbers(entry: Entry, sizes: tuple[int | None, ...]) -> object:
             if not sizes:
-                return entry.number()
+                number = entry.number()
+                if abs(number) > most:
+                    raise entry.wrong(f"a number of at most {most:g}")
+                return number
             if not isinstance(entry.value, list):
                 raise entry.wrong(f"{expected} at {self.key}")
             if len(entry.value) != (len(entry.value) or 1 if sizes[0] is None else sizes[0]):

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from mphygs.capture.archives import Head, open_archive
 from mphygs.capture.document import Entry, written
-from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.errors import fault
 
 
 def path_inside(folder: Path, entry: Entry) -> Path:
@@ -44,59 +45,90 @@ def views_inside(folder: Path, entry: Entry) -> Path:
     path = path_inside(folder, entry)
     if not path.is_dir():
         raise entry.fault(f"{path} is not a folder", "a folder of views")
-    if not (path / "transforms.json").is_file() and not (path / "sparse" / "0").is_dir():
+    if not (path / "transforms.json").is_file() and colmap_folder(path) is None:
         raise entry.fault(f"{path} holds no cameras", "transforms.json or sparse/0 in it")
     return path
 
 
-def read_arrays(path: Path, shapes: dict[str, tuple[int | None, ...]]) -> dict[str, np.ndarray]:
-    """The named arrays of an .npz as float64; no others may be in it. None in a shape stands for any size.
+def colmap_folder(folder: Path) -> Path | None:
+    """Where the COLMAP model of a folder of views stands, as it and its wrappers put it; None without one."""
+    usual = folder / "sparse" / "0"
+    places = [usual, folder / "sparse", *sorted((folder / "sparse").glob("[1-9]"))]
+    places += [folder / "colmap" / "sparse" / "0", folder / "colmap" / "sparse", folder / "colmap"]
+    found = [
+        place for place in places if any((place / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))
+    ]
+    return found[0] if found else usual if usual.is_dir() else None
 
-    NaN is allowed (not measured), infinity is not. Raises CaptureError naming the file and the array.
+
+@dataclass(frozen=True)
+class Size:
+    """How long an array must be along one axis. what: is counted there; why: so many."""
+
+    count: int
+    what: str
+    why: str
+
+    @classmethod
+    def frames(cls, count: int) -> Size:
+        """One entry for each frame of a sequence."""
+        return cls(count, "frames", "as the sequence")
+
+
+Shape = tuple[int | Size | None, ...]
+
+
+def read_arrays(
+    path: Path, shapes: Mapping[str, Shape | None], *, others: bool = False
+) -> dict[str, np.ndarray]:
+    """The named arrays of an .npz as float64; no others may be in it, unless `others`.
+
+    None stands for any shape, and in a shape for any size above zero. NaN is allowed (not measured), infinity
+    is not. Raises CaptureError naming the file and the array, of wrong sizes before anything is unpacked.
     """
-    names = ", ".join(f'"{name}" {written(shape, "TM")}' for name, shape in shapes.items())
-    expected = f"an .npz with {names}"
-    try:
-        # opened here, because numpy leaves a file open that it fails to read
-        with path.open("rb") as stream:
-            archive = np.load(stream, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise fault(str(path), "is a single array", expected)
-            for name in archive.files:
-                if name not in shapes:
-                    raise fault(f"{path}: {name}", "unknown array", expected)
-            for name in shapes:
-                if name not in archive.files:
-                    raise fault(str(path), f'array "{name}" is missing', expected)
-            return {name: _read_array(archive, path, name, shape) for name, shape in shapes.items()}
-    except CaptureError:
-        raise
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise fault(str(path), "is not an .npz file, or is truncated", expected) from error
+    expected = f"an .npz with {', '.join(_described(name, shape) for name, shape in shapes.items())}"
+    with open_archive(path, expected) as archive:
+        for name in archive.names:
+            if name not in shapes and not others:
+                raise fault(f"{path}: {name}", "unknown array", expected)
+        for name in shapes:
+            if name not in archive.names:
+                raise fault(str(path), f'array "{name}" is missing', expected)
+        for name, shape in shapes.items():
+            _check_head(archive.head(name), f"{path}: {name}", shape)
+        found = {}
+        for name, shape in shapes.items():
+            array = archive.read(name, stated=shape is not None and None not in shape)
+            found[name] = _finite(array, f"{path}: {name}")
+        return found
 
 
-def _read_array(
-    archive: np.lib.npyio.NpzFile, path: Path, name: str, shape: tuple[int | None, ...]
-) -> np.ndarray:
-    where = f"{path}: {name}"
-    expected = f"numbers of shape {written(shape, 'TM')}"
-    try:
-        array = archive[name]
-    except ValueError as error:
-        pickled = "allow_pickle" in str(error)
-        what = "holds Python objects, which are not read" if pickled else "is truncated or damaged"
-        raise fault(where, what, expected) from error
-    except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise fault(where, "is truncated or damaged", expected) from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
-        raise fault(where, f"holds {getattr(array, 'dtype', 'raw bytes')}", expected)
-    fits = array.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
-    )
-    if not fits or array.size == 0:
-        raise fault(where, f"has shape {written(array.shape)}", expected)
+def _described(name: str, shape: Shape | None) -> str:
+    if shape is None:
+        return f'"{name}"'
+    return f'"{name}" {written([size if isinstance(size, int) else None for size in shape], "TM")}'
+
+
+def _check_head(head: Head, where: str, shape: Shape | None) -> None:
+    expected = "numbers"
+    if shape is not None:
+        free = [size if isinstance(size, int) else None for size in shape]
+        expected = f"numbers of shape {written(free, 'TM')}"
+    if head.dtype.kind not in "fiu" or head.dtype.itemsize > 8:
+        raise fault(where, f"holds {head.dtype}", expected)
+    if 0 in head.shape or (shape is not None and len(head.shape) != len(shape)):
+        raise fault(where, f"has shape {written(head.shape)}", expected)
+    for have, want in zip(head.shape, shape or (), strict=False):
+        if isinstance(want, int) and have != want:
+            raise fault(where, f"has shape {written(head.shape)}", expected)
+    for have, want in zip(head.shape, shape or (), strict=False):
+        if isinstance(want, Size) and have != want.count:
+            raise fault(where, f"has {have} {want.what}", f"{want.count}, {want.why}")
+
+
+def _finite(array: np.ndarray, where: str) -> np.ndarray:
     array = array.astype(np.float64)
     if np.isinf(array).any():
-        index = tuple(int(i) for i in np.argwhere(np.isinf(array))[0])
-        raise fault(where, f"is infinite at {list(index)}", "numbers, NaN where nothing was measured")
+        index = [int(i) for i in np.argwhere(np.isinf(array))[0]]
+        raise fault(where, f"is infinite at {index}", "numbers, NaN where nothing was measured")
     return array

@@ -27,6 +27,9 @@ __all__ = [
     "save_capture",
 ]
 
+FPS = (0.1, 1e6)
+MASSES = (1e-9, 1e6)  # [kg]
+MOST_FRAMES = 1_000_000
 _GEOMETRIES = ("parts", "gaussians", "views")
 
 
@@ -45,8 +48,8 @@ def load_capture(path: str | Path) -> Capture:
     if version is not None and version.value != FORMAT:
         raise version.wrong(f'"{FORMAT}"')
     root.check_keys(required=("format", "name", "gravity", "object", "sequences"))
-    name = root["name"].text()
-    gravity = root["gravity"].array((3,))
+    name = root["name"].name()
+    gravity = root["gravity"].array((3,), most=1e6)
     parts, gaussians, views = _read_geometry(folder, root["object"])
     sequences = tuple(_read_sequence(folder, entry) for entry in root["sequences"].elements())
     if not sequences:
@@ -110,9 +113,7 @@ def _read_known(entry: Entry | None, parts: tuple[str, ...]) -> Known:
             given, parts, -1e-12, 0.4995, "a Poisson's ratio from 0 to below 0.4995"
         )
     if given := entry.get("mass"):
-        mass = given.number()
-        if mass <= 0:
-            raise given.wrong("a mass above zero [kg]")
+        mass = given.within(*MASSES, "a mass above zero [kg]")
     return Known(density=density, poissons_ratio=poissons_ratio, mass=mass)
 
 
@@ -138,20 +139,23 @@ def _read_per_part(
 def _read_sequence(folder: Path, entry: Entry) -> Sequence:
     entry.check_keys(
         required=("name", "fps", "frames"),
-        optional=("fit", "predict", "held", "loads", "release", "markers", "views"),
+        optional=("fit", "predict", "held", "loads", "release", "markers", "views", "first_frame"),
     )
-    name = entry["name"].text()
-    fps = entry["fps"].number()
-    if fps <= 0:
-        raise entry["fps"].wrong("frames per second above zero")
+    name = entry["name"].name()
+    fps = entry["fps"].within(*FPS, "frames per second")
     frames = entry["frames"].integer()
-    if frames < 1:
-        raise entry["frames"].wrong("at least 1")
+    if not 1 <= frames <= MOST_FRAMES:
+        raise entry["frames"].wrong(f"at least 1, at most {MOST_FRAMES}")
     release: int | None = None
     if given := entry.get("release"):
         release = given.integer()
         if not 0 <= release < frames:
             raise given.wrong(f"a frame of the sequence, 0 to {frames - 1}")
+    first: int | None = None
+    if given := entry.get("first_frame"):
+        first = given.integer()
+        if not 0 <= first <= MOST_FRAMES:
+            raise given.wrong(f"a frame of the file, 0 to {MOST_FRAMES}")
     held, loads, markers, views = (entry.get(key) for key in ("held", "loads", "markers", "views"))
     return Sequence(
         name=name,
@@ -162,8 +166,11 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         held=tuple(read_hold(folder, item, frames) for item in held.elements()) if held else (),
         loads=tuple(read_load(item, frames) for item in loads.elements()) if loads else (),
         release=release,
-        markers=read_markers(folder, markers, fps=fps, frames=frames, release=release) if markers else None,
+        markers=read_markers(folder, markers, fps=fps, frames=frames, release=release, first=first)
+        if markers
+        else None,
         views=views_inside(folder, views) if views else None,
+        first_frame=first,
     )
 
 

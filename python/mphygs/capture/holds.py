@@ -10,8 +10,12 @@ from scipy.interpolate import CubicSpline
 
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
-from mphygs.capture.files import file_inside, read_arrays
+from mphygs.capture.files import Size, file_inside, read_arrays
 from mphygs.capture.rotation import matrix_from_quaternion, sign_continuous
+
+_WIDEST = 1e12  # [m] of a box, which may be wider than anything
+_STRONGEST = 1e6  # [N]
+_FASTEST = 0.5 * np.pi  # [rad] of a turn from one frame to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,7 @@ class Load:
 
 def read_box(entry: Entry) -> np.ndarray:
     """A box (2, 3) [m]: its lower and its upper corner."""
-    box = entry.array((2, 3))
+    box = entry.array((2, 3), most=_WIDEST)
     if (box[0] > box[1]).any():
         axis = int(np.argmax(box[0] > box[1]))
         raise entry.fault(
@@ -83,10 +87,9 @@ def read_hold(folder: Path, entry: Entry, frames: int) -> Hold:
     if entry["motion"].text() == "fixed":
         return Hold(box=box)
     path = file_inside(folder, entry["motion"])
-    arrays = read_arrays(path, {"position": (None, 3), "quaternion": (None, 4)})
+    every = Size.frames(frames)
+    arrays = read_arrays(path, {"position": (every, 3), "quaternion": (every, 4)})
     for name, array in arrays.items():
-        if len(array) != frames:
-            raise fault(f"{path}: {name}", f"has {len(array)} frames", f"{frames}, as the sequence")
         if np.isnan(array).any():
             frame = int(np.argwhere(np.isnan(array))[0, 0])
             raise fault(f"{path}: {name}", f"is NaN in frame {frame}", "the motion of a hold in every frame")
@@ -96,6 +99,14 @@ def read_hold(folder: Path, entry: Entry, frames: int) -> Hold:
     if abs(length[worst] - 1) > 1e-3:
         raise fault(
             f"{path}: quaternion", f"has length {length[worst]:.4g} in frame {worst}", "unit (w, x, y, z)"
+        )
+    turn = 2 * np.arccos(np.minimum(np.abs(np.einsum("tk,tk->t", quaternion[1:], quaternion[:-1])), 1.0))
+    if len(turn) and turn.max() > _FASTEST:
+        frame = int(np.argmax(turn)) + 1
+        raise fault(
+            f"{path}: quaternion",
+            f"turns by {np.degrees(turn[frame - 1]):.0f} degrees to frame {frame}",
+            f"at most {np.degrees(_FASTEST):.0f} from one frame to the next",
         )
     # those already of unit length keep their bits, so that a capture read and written is the same
     off = np.abs(length - 1) > 4e-16
@@ -109,4 +120,5 @@ def read_load(entry: Entry, frames: int) -> Load:
     start = entry["from"].integer()
     if not 0 <= start < frames:
         raise entry["from"].wrong(f"a frame of the sequence, 0 to {frames - 1}")
-    return Load(box=read_box(entry["box"]), force=entry["force"].array((3,)), start_frame=start)
+    force = entry["force"].array((3,), most=_STRONGEST)
+    return Load(box=read_box(entry["box"]), force=force, start_frame=start)

@@ -10,9 +10,14 @@ import numpy as np
 from mphygs.capture.c3d import read_c3d
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
-from mphygs.capture.files import file_inside, read_arrays
+from mphygs.capture.files import Size, file_inside, read_arrays
 from mphygs.capture.rotation import align_rigid
 
+SIGMAS = (1e-9, 1.0)  # [m]
+FARTHEST = 1e4  # [m] of a place from the origin
+_FEWEST_SEEN = 3  # markers, for a rigid fit
+# A place of exactly 0 0 0 is a gap where the marker is so far from there just before and after.
+_GAP_SIGMAS, _GAP_SHARE = 20.0, 0.02
 _FIRST_FRAMES = 5  # taken as rest where no release is given
 
 
@@ -21,7 +26,8 @@ class Markers:
     """Marker tracks of one sequence, in the object frame.
 
     position: (T, M, 3) [m], NaN where not measured; at: (M, 3) [m], the markers at rest; sigma: [m], one
-    standard deviation of the noise per coordinate; names: M labels, or none.
+    standard deviation of the noise per coordinate; names: M labels, or none; notes: what was noticed in the
+    file and is to be said.
     Of tracks from video also spread: (M,) [m], each one's own standard deviation; memory: what of a track's
     lasting error is carried to the next frame; lasting: that error's share of the variance, the rest is new
     in every frame.
@@ -31,6 +37,7 @@ class Markers:
     at: np.ndarray
     sigma: float
     names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     spread: np.ndarray | None = None
     memory: float = 0.0
     lasting: float = 1.0
@@ -51,48 +58,102 @@ class Markers:
 
 
 def resting_position(position: np.ndarray, release: int | None) -> np.ndarray:
-    """Median over the resting frames of tracks (T, M, 3): (M, 3), NaN for a marker not seen in them."""
-    rest = position[: release or min(_FIRST_FRAMES, len(position))]
+    """Median over the resting frames of tracks (T, M, 3): (M, 3), NaN for a marker not seen in them.
+
+    Where no release is stated they are the first few frames, or those from which on enough is seen to tell
+    where the object is.
+    """
+    seen, begin = np.isfinite(position).all(axis=2), 0
+    if not release and seen[:_FIRST_FRAMES].any(axis=0).sum() < _FEWEST_SEEN:
+        begin = int(np.argmax(seen.sum(axis=1) >= _FEWEST_SEEN))
+    rest = position[begin : release or begin + _FIRST_FRAMES]
     seen = np.isfinite(rest).any(axis=0)
     median = np.full(rest.shape[1:], np.nan)
     median[seen] = np.nanmedian(np.where(seen, rest, 0.0), axis=0)[seen]
     return median
 
 
-def read_markers(folder: Path, entry: Entry, *, fps: float, frames: int, release: int | None) -> Markers:
-    """The markers that `markers` describes; its `names` choose among the points of a .c3d."""
-    entry.check_keys(required=("file", "at", "sigma"), optional=("names",))
-    at = entry["at"].array((None, 3))
-    sigma = entry["sigma"].number()
-    if sigma <= 0:
-        raise entry["sigma"].wrong("a standard deviation above zero [m]")
+def read_markers(
+    folder: Path, entry: Entry, *, fps: float, frames: int, release: int | None, first: int | None = None
+) -> Markers:
+    """The markers that `markers` describes; its `names` choose among the points of a .c3d.
+
+    first: the file's frame that is frame 0, None for the file's first one.
+    """
+    entry.check_keys(required=("file", "at", "sigma"), optional=("names", "zero_is_missing"))
+    at = entry["at"].array((None, 3), most=FARTHEST)
+    sigma = entry["sigma"].within(*SIGMAS, "a standard deviation above zero [m]")
     names = _read_names(entry, len(at))
     path = file_inside(folder, entry["file"])
     suffix = path.suffix.lower()
     if suffix == ".npz":
-        position = read_arrays(path, {"position": (None, None, 3)})["position"]
-        if len(position) != frames:
-            raise fault(f"{path}: position", f"has {len(position)} frames", f"{frames}, as the sequence")
-        _check_count(path, position, at)
+        every = Size.frames(frames) if first is None else None
+        shape = (every, Size(len(at), "markers", "one for each row of at"), 3)
+        position = read_arrays(path, {"position": shape})["position"]
+        if first is not None:
+            position = _from_frame(path, position, first, frames)
+        position, gaps = _without_zeros(position, at, sigma, entry.get("zero_is_missing"))
     elif suffix == ".c3d":
-        position, labels = read_c3d(path, fps=fps, frames=frames)
+        position, labels = read_c3d(path, fps=fps, frames=frames, first=first or 0)
         if names:
             position = position[:, _columns(entry["names"], names, labels)]
         _check_count(path, position, at)
         names = names or labels
+        position, gaps = _without_zeros(position, at, sigma, entry.get("zero_is_missing"))
         position = _to_object_frame(path, position, at, release)
     else:
         raise entry["file"].wrong("an .npz or a .c3d file")
     if not np.isfinite(position).any():
         raise fault(f"{path}: position", "is NaN everywhere", "measured positions")
-    return Markers(position=position, at=at, sigma=sigma, names=names)
+    notes = ()
+    if gaps:
+        notes = (f"{gaps} marker positions of exactly 0 0 0 are taken as not measured (zero_is_missing)",)
+    return Markers(position=position, at=at, sigma=sigma, names=names, notes=notes)
+
+
+def _from_frame(path: Path, position: np.ndarray, first: int, frames: int) -> np.ndarray:
+    if len(position) < first + frames:
+        expected = f"at least {first + frames}, frames {first} to {first + frames - 1}"
+        raise fault(f"{path}: position", f"has {len(position)} frames", expected)
+    return position[first : first + frames]
+
+
+def _without_zeros(
+    position: np.ndarray, at: np.ndarray, sigma: float, given: Entry | None
+) -> tuple[np.ndarray, int]:
+    """Tracks (T, M, 3) with NaN where a file has zeros for what was not seen, and how many those are.
+
+    given: whether it does; where it does not say, a place of exactly zero is none when the marker is far from
+    there in the nearest frames that have another place.
+    """
+    zero = (position == 0.0).all(axis=2)
+    if not zero.any() or (given is not None and not given.flag()):
+        return position, 0
+    if given is None:
+        reach = max(_GAP_SIGMAS * sigma, _GAP_SHARE * float(np.linalg.norm(np.ptp(at, axis=0))))
+        zero &= _distance_nearby(position, zero) > reach
+    return np.where(zero[..., None], np.nan, position), int(zero.sum())
+
+
+def _distance_nearby(position: np.ndarray, zero: np.ndarray) -> np.ndarray:
+    """(T, M) [m] from the origin, in the nearest frame in which a marker is seen; endless where in none."""
+    frames = np.arange(len(position))
+    seen = np.isfinite(position).all(axis=2) & ~zero
+    away = np.full(zero.shape, np.inf)
+    for marker in np.flatnonzero(zero.any(axis=0) & seen.any(axis=0)):
+        known = np.flatnonzero(seen[:, marker])
+        right = np.searchsorted(known, frames).clip(0, len(known) - 1)
+        left = np.maximum(right - 1, 0)
+        distance = np.linalg.norm(position[known, marker], axis=1)
+        away[:, marker] = np.minimum(distance[left], distance[right])
+    return away
 
 
 def _read_names(entry: Entry, count: int) -> tuple[str, ...]:
     given = entry.get("names")
     if given is None:
         return ()
-    names = tuple(element.text() for element in given.elements())
+    names = tuple(element.name() for element in given.elements())
     if len(names) != count:
         raise given.fault(f"has {len(names)} names", f"{count}, one for each row of at")
     for name in names:

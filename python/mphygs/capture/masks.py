@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -9,12 +11,19 @@ from mphygs.capture.errors import fault
 from mphygs.capture.images import Pixels
 
 _PLATE_DIFFERENCE = 0.08  # of the range of colour, well above the noise of a camera
+_ONE = 1.01 / 255
+# Shares of a mask's border that shows the object, of the mask that does not, and of all views, from which on
+# masks are taken for the wrong way round: an object stands in the middle, or fills a view.
+_BORDER, _HOLE, _VIEWS = 0.9, 1e-3, 0.75
 _LEAST_SHARE = 1e-5  # of the picture; less is no object
 
 
 def mask_of_picture(pixels: Pixels) -> np.ndarray:
     """The mask (H, W), 0 to 1, that a picture read from masks/ holds: its brightness, 1 for the object."""
-    return pixels.colour.max(axis=2)
+    mask = pixels.colour.max(axis=2)
+    brightest = float(mask.max())
+    # masks of 0 and 1, which look black
+    return mask / brightest if 0.0 < brightest <= _ONE else mask
 
 
 def mask_of_plate(
@@ -33,11 +42,19 @@ def mask_of_plate(
     return mask.astype(np.float32)
 
 
-def checked_mask(mask: np.ndarray, size: tuple[int, int], where: str) -> np.ndarray:
-    """`mask` (H, W) unless it is empty or not of `size` (H, W), for which CaptureError is raised."""
-    if mask.shape != size:
-        have, want = (f"{columns} x {rows}" for rows, columns in (mask.shape, size))
-        raise fault(where, f"the mask is {have} pixels", f"{want}, as its picture")
+def checked_mask(mask: np.ndarray, where: str) -> np.ndarray:
+    """`mask` (H, W) unless it is empty, for which CaptureError is raised."""
     if (mask >= 0.5).mean() < _LEAST_SHARE:
         raise fault(where, "the mask is empty", "white where the object is seen")
     return mask
+
+
+def check_masks(where: str, masks: Sequence[np.ndarray]) -> None:
+    """Raises CaptureError where nearly all masks (H, W) show the object all round and not inside."""
+    inverted = 0
+    for mask in masks:
+        border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+        inverted += (border >= 0.5).mean() > _BORDER and (mask < 0.5).mean() > _HOLE
+    if inverted > _VIEWS * len(masks):
+        what = f"{inverted} of {len(masks)} masks are white all round and black inside: they look inverted"
+        raise fault(where, what, "white where the object is seen")

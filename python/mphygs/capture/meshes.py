@@ -12,7 +12,12 @@ import trimesh
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
 from mphygs.capture.files import file_inside
+from mphygs.capture.mesh_files import mesh_content
 from mphygs.capture.overlap import winding_number
+from mphygs.capture.written import replace_file
+
+_MOST_BODIES = 500
+_PROBED = 20  # corners of a body that are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +53,10 @@ class Part:
 def read_part(folder: Path, entry: Entry) -> Part:
     """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent)."""
     entry.check_keys(required=("name", "mesh"), optional=("scale",))
-    name = entry["name"].text()
+    name = entry["name"].name()
     scale = 1.0
     if given := entry.get("scale"):
-        scale = given.number()
-        if scale <= 0:
-            raise given.wrong("a number above zero (file unit -> metre)")
+        scale = given.within(1e-12, 1e12, "a number above zero (file unit -> metre)")
     vertices, faces = read_mesh(file_inside(folder, entry["mesh"]))
     return Part(name=name, vertices=vertices * scale, faces=faces)
 
@@ -66,9 +69,10 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     expected = "a closed triangle mesh that trimesh reads (.ply, .stl, .obj, .off, ...)"
     if not path.suffix:
         raise fault(str(path), "has no file ending", expected)
+    content = mesh_content(path, expected)
     try:
         # from memory, so that no reader follows names in the file to other files
-        content = io.BytesIO(path.read_bytes())
+        content = io.BytesIO(content)
         mesh = trimesh.load_mesh(content, file_type=path.suffix[1:].lower(), process=False)
         vertices = np.array(mesh.vertices, dtype=np.float64)
         faces = np.array(mesh.faces, dtype=np.int64)
@@ -88,7 +92,8 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = _merge(vertices, faces)
     if not _is_closed(faces):
         faces = _wind(path, vertices, faces)
-    faces = _turn_outward(vertices, faces)
+    _check_twice(path, vertices, faces)
+    faces = _turn_outward(path, vertices, faces)
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if not _volume(vertices, faces) > 1e-9 * size**3:
         raise fault(str(path), "encloses no volume", expected)
@@ -105,7 +110,7 @@ def write_mesh(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     rows = np.empty(len(faces), dtype=[("count", "u1"), ("index", "<i4", (3,))])
     rows["count"] = 3
     rows["index"] = faces
-    path.write_bytes(header.encode("ascii") + vertices.astype("<f8").tobytes() + rows.tobytes())
+    replace_file(path, header.encode("ascii") + vertices.astype("<f8").tobytes() + rows.tobytes())
 
 
 def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,19 +159,48 @@ def _wind(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return faces
 
 
-def _turn_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The faces with every body that encloses material turned outward; cavities stay inward."""
+def _check_twice(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Raises CaptureError where triangles stand there twice, wound alike: what they enclose counts twice."""
+    step = 1e-6 * max(float(np.ptp(vertices, axis=0).max()), 1e-300)
+    _, place = np.unique(np.round((vertices - vertices.min(axis=0)) / step), axis=0, return_inverse=True)
+    corners = place.reshape(-1)[faces]
+    # the smallest corner first, the order kept: one that is wound the other way is another triangle
+    first = np.argmin(corners, axis=1)
+    turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
+    _, count = np.unique(turned, axis=0, return_counts=True)
+    twice = int((count > 1).sum())
+    if twice:
+        what = f"{twice} of its {len(count)} triangles stand there twice"
+        raise fault(str(path), f"{what}, so that a body's volume counts double", "every body once")
+
+
+def _turn_outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The faces with every body that encloses material turned outward; cavities stay inward.
+
+    Raises CaptureError for a body inside another that is turned outward as well, and for too many bodies.
+    """
     if _volume(vertices, faces) < 0:
         faces = faces[:, ::-1]
     label = trimesh.graph.connected_component_labels(_directed_edges(faces), node_count=len(vertices))[
         faces[:, 0]
     ]
-    for body in np.unique(label):
+    bodies = np.unique(label)
+    if len(bodies) > _MOST_BODIES:
+        raise fault(str(path), f"holds {len(bodies)} separate bodies", f"at most {_MOST_BODIES} in a part")
+    for number, body in enumerate(bodies):
         own = label == body
+        if len(bodies) == 1:
+            break
+        corners = np.unique(faces[own])
+        some = corners[:: max(1, len(corners) // _PROBED)]
+        inside = np.abs(winding_number(vertices[some], vertices, faces[~own])) > 0.5
         if _volume(vertices, faces[own]) < 0:
-            around = winding_number(vertices[faces[own][0, :1]], vertices, faces[~own])
-            if abs(around[0]) < 0.5:
+            if not inside[0]:
                 faces = np.where(own[:, None], faces[:, ::-1], faces)
+        elif inside.all():
+            at = ", ".join(f"{x:.4g}" for x in vertices[corners].mean(axis=0))
+            what = f"body {number + 1} of {len(bodies)}, about ({at}), is turned outward inside another one"
+            raise fault(str(path), what, "a cavity's wall turned inward, every piece of material once")
     return np.ascontiguousarray(faces)
 
 

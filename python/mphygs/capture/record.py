@@ -30,8 +30,9 @@ class Sequence:
     """One recorded motion. Frame k is at t = k / fps [s]; ranges [a, b) exclude b.
 
     fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
-    rest until this frame; views: the folder of the measured video; turn: (3, 3) rotation from the frame that
-    the sequence is told in to the one that gravity is told in, None where they are one.
+    rest until this frame; views: the folder of the measured video; first_frame: of the files' frames, the one
+    that is frame 0, None where it is the first and they are no longer; turn: (3, 3) rotation from the frame
+    that the sequence is told in to the one that gravity is told in, None where they are one.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Sequence:
     release: int | None = None
     markers: Markers | None = None
     views: Path | None = None
+    first_frame: int | None = None
     turn: np.ndarray | None = None
 
 

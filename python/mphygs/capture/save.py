@@ -12,6 +12,7 @@ import numpy as np
 from mphygs.capture.checks import check_capture
 from mphygs.capture.meshes import write_mesh
 from mphygs.capture.record import Capture, Sequence
+from mphygs.capture.written import replace_arrays, replace_file
 
 FORMAT = "mphygs-capture/1"
 RESTS = ("stress-free", "equilibrium")
@@ -52,7 +53,7 @@ def save_capture(capture: Capture, folder: str | Path) -> None:
         "sequences": [_write_sequence(sequence, folder) for sequence in capture.sequences],
     }
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
-    (folder / "capture.json").write_text(text + "\n", encoding="utf-8")
+    replace_file(folder / "capture.json", text + "\n")
 
 
 def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
@@ -61,7 +62,7 @@ def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
         motion = "fixed"
         if not hold.is_fixed:
             motion = f"{sequence.name}_hold{index}.npz"
-            np.savez_compressed(folder / motion, position=hold.position, quaternion=hold.quaternion)
+            replace_arrays(folder / motion, {"position": hold.position, "quaternion": hold.quaternion})
         held.append({"box": hold.box.tolist(), "motion": motion})
     document: dict[str, object] = {
         "name": sequence.name,
@@ -81,7 +82,7 @@ def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
     if sequence.markers is not None:
         markers = sequence.markers
         file = f"{sequence.name}_markers.npz"
-        np.savez_compressed(folder / file, position=markers.position)
+        replace_arrays(folder / file, {"position": markers.position})
         document["markers"] = {"file": file, "at": markers.at.tolist(), "sigma": markers.sigma}
         if markers.names:
             document["markers"]["names"] = list(markers.names)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +17,27 @@ from mphygs.capture.cameras import (
     opengl_of_camera,
 )
 from mphygs.capture.document import Entry, read_document
-from mphygs.capture.errors import fault
+from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.files import file_inside
+from mphygs.capture.images import IMAGE_SUFFIXES, ImageFile
 from mphygs.capture.shots import Shot
+from mphygs.capture.written import replace_file
 
 _INTRINSICS = (
     "fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x",
-    "camera_angle_y", "camera_model",
+    "camera_angle_y", "camera_model", "is_fisheye",
 )  # fmt: skip
-# what nerfstudio and its converters write beside that, of no meaning here
+# what nerfstudio, instant-ngp, Polycam, Blender and their converters write beside that, of no meaning here
 _NOTES = (
+    "enable_depth_loading", "integer_depth_scale", "from_na", "fix_premult", "white_transparent",
+    "black_transparent", "sharpen", "n_extra_learnable_dims", "render_aabb", "up", "n_frames", "time",
     "aabb_scale", "scale", "offset", "applied_transform", "applied_scale", "ply_file_path",
     "orientation_override", "auto_scale_poses_override", "train_filenames", "val_filenames", "test_filenames",
 )  # fmt: skip
-_FRAME_NOTES = ("colmap_im_id", "sharpness", "depth_file_path")
+_FRAME_NOTES = (
+    "colmap_im_id", "sharpness", "depth_file_path", "rotation", "time", "timestamp", "blur_score",
+    "manual_keyframe", "neighbors",
+)  # fmt: skip
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
 
 
@@ -42,6 +50,8 @@ def read_transforms(path: Path) -> list[Shot]:
     """
     root = read_document(path)
     root.check_keys(required=("frames",), optional=(*_INTRINSICS, *_NOTES))
+    if (fisheye := root.get("is_fisheye")) and fisheye.flag():
+        raise fisheye.wrong("false: fisheye pictures must be undistorted before")
     frames = root["frames"].elements()
     if not frames:
         raise root["frames"].fault("is empty", "at least one picture")
@@ -53,7 +63,7 @@ def _read_frame(folder: Path, root: Entry, entry: Entry) -> Shot:
         required=("file_path", "transform_matrix"),
         optional=(*_INTRINSICS, *_FRAME_NOTES, "camera", "frame", "mask_path"),
     )
-    image = file_inside(folder, entry["file_path"])
+    image = _image_inside(folder, entry["file_path"])
     given = entry.get("mask_path")
     mask = file_inside(folder, given) if given else None
     name = entry["camera"].text() if entry.get("camera") else image.stem
@@ -65,7 +75,7 @@ def _read_frame(folder: Path, root: Entry, entry: Entry) -> Shot:
     matrix = entry["transform_matrix"].array((4, 4))
     if abs(np.linalg.det(matrix)) < 1e-9:
         raise entry["transform_matrix"].fault("is singular", "a rigid camera-to-world matrix")
-    size, focal, centre, distortion = _read_intrinsics(root, entry)
+    size, focal, centre, distortion = _read_intrinsics(root, entry, image)
     try:
         pose = camera_from_world_of_opengl(matrix)
         camera = Camera(name, *size, focal, centre, pose, distortion)
@@ -74,8 +84,23 @@ def _read_frame(folder: Path, root: Entry, entry: Entry) -> Shot:
     return Shot(camera=camera, image=image, mask=mask, frame=frame, where=entry.where)
 
 
-def _read_intrinsics(root: Entry, entry: Entry) -> tuple[tuple[int, int], np.ndarray, np.ndarray, np.ndarray]:
-    """Size, focal lengths, principal point and distortion, of the frame or else of the document."""
+def _image_inside(folder: Path, entry: Entry) -> Path:
+    """The file of a picture; Blender names it without its ending."""
+    text = entry.text()
+    for suffix in ("", *IMAGE_SUFFIXES):
+        named = replace(entry, value=text + suffix)
+        try:
+            return file_inside(folder, named)
+        except CaptureError:
+            continue
+    return file_inside(folder, entry)
+
+
+def _read_intrinsics(
+    root: Entry, entry: Entry, image: Path
+) -> tuple[tuple[int, int], np.ndarray, np.ndarray, np.ndarray]:
+    """Size, focal lengths, principal point and distortion, of the frame or else of the document; the size
+    that neither tells is that of the picture."""
 
     def find(key: str) -> Entry | None:
         return entry.get(key) or root.get(key)
@@ -88,7 +113,9 @@ def _read_intrinsics(root: Entry, entry: Entry) -> tuple[tuple[int, int], np.nda
     if model is not None and model.value not in _MODELS:
         raise model.wrong(f"one of {', '.join(_MODELS)} (fisheye pictures must be undistorted before)")
     size = []
-    for key in ("w", "h"):
+    if find("w") is None and find("h") is None and image.suffix.lower() in IMAGE_SUFFIXES:
+        size = list(ImageFile(image).size())
+    for key in () if size else ("w", "h"):
         found = find(key)
         if found is None:
             raise entry.fault(f'"{key}" is missing', "the size of the picture, here or for all frames")
@@ -139,6 +166,4 @@ def write_transforms(
             "transform_matrix": opengl_of_camera(camera).tolist(),
         }
         entries.append(entry if frame is None else entry | {"frame": frame})
-    path.write_text(
-        json.dumps({"camera_model": "OPENCV", "frames": entries}, indent=1) + "\n", encoding="utf-8"
-    )
+    replace_file(path, json.dumps({"camera_model": "OPENCV", "frames": entries}, indent=1) + "\n")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -11,18 +12,18 @@ import numpy as np
 
 from mphygs.capture.annotations import Correspondence, read_contact, read_correspondences
 from mphygs.capture.cameras import Camera
+from mphygs.capture.checks import SIZE
 from mphygs.capture.colmap import read_colmap
 from mphygs.capture.distortion import undistort_image, undistorted
 from mphygs.capture.errors import fault
-from mphygs.capture.images import VIDEO_SUFFIXES, ImageFile, Source, Video, VideoFrame
-from mphygs.capture.masks import checked_mask, mask_of_picture, mask_of_plate
+from mphygs.capture.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES, ImageFile, Source, Video, VideoFrame
+from mphygs.capture.masks import check_masks, checked_mask, mask_of_picture, mask_of_plate
 from mphygs.capture.record import Capture, Sequence
 from mphygs.capture.shots import Shot
 from mphygs.capture.transforms import read_transforms
 
 LEAST_REST_VIEWS = 3
 LEAST_CAMERAS = 2
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,31 +67,50 @@ class View:
         the plate, a picture of the background alone. Raises CaptureError where a file cannot be read, is of
         another size than the camera, or shows nothing of the object.
         """
-        pixels = self.source.read()
-        size = (self.camera.height, self.camera.width)
-        if pixels.colour.shape[:2] != size:
-            have, want = (f"{columns} x {rows}" for rows, columns in (pixels.colour.shape[:2], size))
-            raise fault(self.source.where, f"is {have} pixels", f"{want}, as camera {self.camera.name} says")
+        size = (self.camera.width, self.camera.height)
+        pixels = self.source.read(size, f", as camera {self.camera.name} says")
         where = self.source.where
         if self.mask is not None:
-            mask, where = mask_of_picture(self.mask.read()), self.mask.where
+            mask, where = mask_of_picture(self.mask.read(size, ", as its picture")), self.mask.where
         elif pixels.alpha is not None:
             mask = pixels.alpha
         elif self.plate is not None:
-            plate = self.plate.read().colour
-            if plate.shape != pixels.colour.shape:
-                rows, columns = plate.shape[:2]
-                raise fault(self.plate.where, f"is {columns} x {rows} pixels", "the size of its pictures")
-            mask = mask_of_plate(pixels.colour, plate)
+            mask = mask_of_plate(pixels.colour, self.plate.read(size, ", the size of its pictures").colour)
         else:
             raise fault(
                 where,
                 "nothing says where the object is in it",
                 "a mask in masks/, an alpha channel, or a picture of the background in background/",
             )
-        mask = checked_mask(mask, size, where)
+        mask = checked_mask(mask, where)
         colour = undistort_image(self.camera, pixels.colour)
         return Photograph(undistorted(self.camera), colour, undistort_image(self.camera, mask))
+
+
+def check_extent(where: str, photographs: list[Photograph]) -> None:
+    """Raises CaptureError where the object would be as large as none is: the cameras stand in another unit.
+
+    Its place is where the lines of sight through the middles of the masks meet best.
+    """
+    places, ways, across = [], [], []
+    for p in photographs:
+        row, column = np.nonzero(p.mask >= 0.5)
+        middle = np.array([column.mean() + 0.5, row.mean() + 0.5])
+        places.append(p.camera.position)
+        ways.append(p.camera.rays(middle))
+        across.append(max(np.ptp(row), np.ptp(column), 1) / p.camera.focal.mean())
+    place, way = np.array(places), np.array(ways)
+    aside = np.eye(3) - way[:, :, None] * way[:, None]
+    met, rank = np.linalg.lstsq(aside.sum(axis=0), np.einsum("nij,nj->i", aside, place), rcond=1e-6)[::2]
+    if rank < 3:  # all look the same way
+        return
+    size = float(np.median(np.linalg.norm(place - met, axis=1) * across))
+    if not SIZE[0] <= size <= SIZE[1]:
+        factor = 1e-3 if size > SIZE[1] else 1e3
+        fits = SIZE[0] <= size * factor <= SIZE[1]
+        hint = f"; units look off by 1000: places of cameras times {factor:g}" if fits else ""
+        what = f"by its cameras the object is {size:.3g} m across"
+        raise fault(where, what, f"{SIZE[0]:g} to {SIZE[1]:g} m{hint}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +120,12 @@ class RestViews:
     views: dict[str, View]
 
     def read(self) -> list[Photograph]:
-        """All pictures."""
-        return [view.read() for view in self.views.values()]
+        """All pictures. Raises CaptureError where masks look inverted, or the object has no sensible size."""
+        photographs = [view.read() for view in self.views.values()]
+        first = next(iter(self.views.values()))
+        check_masks((first.mask or first.source).where, [p.mask for p in photographs])
+        check_extent(first.source.where, photographs)
+        return photographs
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +152,7 @@ def load_rest_views(folder: Path) -> RestViews:
 
     Raises CaptureError, one line, for cameras or files that cannot be used, and for fewer than three views.
     """
-    shots = _read_shots(folder)
+    shots = _named_apart(folder, _read_shots(folder))
     views: dict[str, View] = {}
     for shot in shots:
         name = shot.camera.name
@@ -145,17 +169,20 @@ def load_rest_views(folder: Path) -> RestViews:
     return RestViews(views)
 
 
-def load_sequence_views(folder: Path, *, frames: int, rest: RestViews | None = None) -> SequenceViews:
+def load_sequence_views(
+    folder: Path, *, frames: int, rest: RestViews | None = None, first: int | None = None
+) -> SequenceViews:
     """The videos in `folder` of a sequence of `frames` frames; the first picture of each camera is read.
 
     An entry that names a video and no frame stands for all frames of that camera. rest: needed where there is
-    a correspondences.json. Raises CaptureError, one line: a camera or a frame that is missing or given twice,
-    files that cannot be used, fewer than two cameras.
+    a correspondences.json; first: of a whole video, the frame that is frame 0, and it may be longer. Raises
+    CaptureError, one line: a camera or a frame that is missing or given twice, files that cannot be used,
+    fewer than two cameras.
     """
     views: dict[tuple[str, int], View] = {}
     videos: dict[Path, Video] = {}
     for shot in _read_shots(folder):
-        for frame, source in _frames_of(shot, frames, videos):
+        for frame, source in _frames_of(shot, frames, videos, first):
             key = (shot.camera.name, frame)
             if key in views:
                 raise fault(
@@ -207,7 +234,8 @@ def sequence_views_of(sequence: Sequence, rest: RestViews | None = None) -> Sequ
     """The videos of a capture's sequence. Raises CaptureError where it has none or they cannot be used."""
     if sequence.views is None:
         raise fault(f'sequence "{sequence.name}"', "has no views", "measured video")
-    return load_sequence_views(sequence.views, frames=sequence.frames, rest=rest)
+    first = sequence.first_frame
+    return load_sequence_views(sequence.views, frames=sequence.frames, rest=rest, first=first)
 
 
 def _read_shots(folder: Path) -> list[Shot]:
@@ -215,7 +243,22 @@ def _read_shots(folder: Path) -> list[Shot]:
     return read_transforms(path) if path.is_file() else read_colmap(folder)
 
 
-def _frames_of(shot: Shot, frames: int, videos: dict[Path, Video]) -> Iterable[tuple[int, Source]]:
+def _named_apart(folder: Path, shots: list[Shot]) -> list[Shot]:
+    """The shots of rest views, those of files of one name in several folders named with their folders."""
+    count = Counter(shot.camera.name for shot in shots)
+    named = []
+    for shot in shots:
+        name = shot.camera.name
+        if count[name] > 1 and (name == shot.image.stem or shot.frame is not None):
+            parts = shot.image.relative_to(folder).with_suffix("").parts
+            name = "-".join(parts[parts[0] == "images" :])
+        named.append(replace(shot, camera=replace(shot.camera, name=name)))
+    return named
+
+
+def _frames_of(
+    shot: Shot, frames: int, videos: dict[Path, Video], first: int | None
+) -> Iterable[tuple[int, Source]]:
     """The frames of a sequence that a shot stands for."""
     if shot.image.suffix.lower() not in VIDEO_SUFFIXES:
         if shot.frame is None:
@@ -224,9 +267,12 @@ def _frames_of(shot: Shot, frames: int, videos: dict[Path, Video]) -> Iterable[t
     video = _opened(shot.image, videos)
     if shot.frame is not None:
         return [(shot.frame, VideoFrame(video, shot.frame))]
-    if video.frame_count != frames:
-        raise fault(str(shot.image), f"has {video.frame_count} frames", f"{frames}, as the sequence")
-    return [(frame, VideoFrame(video, frame)) for frame in range(frames)]
+    count, begin = video.frame_count, first or 0
+    if count < begin + frames or (first is None and count > frames):
+        more = f", as the sequence from {begin} on" if begin else ", as the sequence"
+        raise fault(str(shot.image), f"has {count} frames", f"{begin + frames}{more}")
+    video.check_steady()
+    return [(frame, VideoFrame(video, begin + frame)) for frame in range(frames)]
 
 
 def _opened(path: Path, videos: dict[Path, Video]) -> Video:
@@ -252,7 +298,7 @@ def _view(
         found = ImageFile(mask)
     elif (folder / "masks").is_dir():
         raise fault(str(folder / "masks"), f"has no mask for {shot.image.name}", "one of the same name")
-    plates = [folder / "background" / f"{shot.camera.name}{suffix}" for suffix in _IMAGE_SUFFIXES]
+    plates = [folder / "background" / f"{shot.camera.name}{suffix}" for suffix in IMAGE_SUFFIXES]
     plate = next((ImageFile(path) for path in plates if path.is_file()), None)
     return View(camera=shot.camera, source=source, mask=found, plate=plate)
 
@@ -264,7 +310,7 @@ def _beside(folder: Path, image: Path, kind: str) -> Path | None:
     except ValueError:
         inside = Path(image.name)
     mask = folder / kind / inside
-    for path in (mask, *(mask.with_suffix(suffix) for suffix in _IMAGE_SUFFIXES)):
+    for path in (mask, *(mask.with_suffix(suffix) for suffix in IMAGE_SUFFIXES)):
         if path.is_file():
             return path
     return None

@@ -12,7 +12,8 @@ from typing import Annotated
 
 import tyro
 
-from mphygs.claim import PICTURES
+from mphygs.capture.written import replace_file
+from mphygs.claim import PICTURES, claim_output, kept_inside
 from mphygs.command import Answer, CommonOptions, Console, check_gain, names, plain, run
 from mphygs.compare.assess import Assessment, Compared, in_words
 from mphygs.compare.image_errors import image_table, joined
@@ -61,8 +62,9 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
     wanted = chosen_names(experiment, names(options.sequences))
-    folder = options.out or state.folder / PICTURES
-    folder.mkdir(parents=True, exist_ok=True)
+    if options.out is not None:
+        claim_output(options.out)
+    folder = options.out or kept_inside(state.folder, PICTURES)
     count, begun = len(experiment.compared_names(wanted)), itertools.count()
 
     def predicting(text: str) -> None:
@@ -86,7 +88,7 @@ def compare(options: CompareOptions, console: Console) -> Answer:
         )
     document["warnings"] = doubted_sigma(compared)
     if options.capture is None and options.sequences is None:
-        (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
+        replace_file(state.folder / DOCUMENT, json.dumps(plain(document), indent=1) + "\n")
     return Answer(document, _text(document))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -58,9 +60,18 @@ class Film:
     def __enter__(self) -> Film:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._writer is not None:
-            self._writer.release()
+    def __exit__(self, failed: object, *_: object) -> None:
+        if self._writer is None:
+            return
+        self._writer.release()
+        if failed is None:
+            os.replace(self._part, self.path)
+        self._part.unlink(missing_ok=True)
+
+    @property
+    def _part(self) -> Path:
+        """Where it is written, until it is whole."""
+        return self.path.with_name(f".part-{os.getpid()}-{self.path.name}")
 
     def add(self, shown: Shown) -> None:
         """One frame more. Raises OSError where no video can be written."""
@@ -76,9 +87,9 @@ class Film:
         if self._writer is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             code = cv2.VideoWriter_fourcc(*"mp4v")
-            self._writer = cv2.VideoWriter(str(self.path), code, self.fps, image.shape[1::-1])
+            self._writer = cv2.VideoWriter(str(self._part), code, self.fps, image.shape[1::-1])
             if not self._writer.isOpened():
-                raise OSError(f"{self.path}: no video can be written there")
+                raise OSError(errno.EIO, "no video can be written there", str(self.path))
         self._writer.write(np.ascontiguousarray(image))
 
 

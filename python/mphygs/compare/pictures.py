@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from mphygs.capture.written import replace_file
 from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import frame_masks
 
@@ -144,7 +146,7 @@ def sequence_figure(
     off = farthest_off(compared)
     chosen = {"largest motion": moving_most(compared.observation.position[window], 1)[0], "farthest off": off}
     for place, (what, (marker, coordinate)) in zip((axes[0, 0], axes[0, 1]), chosen.items(), strict=True):
-        label = labels[marker] if len(labels) else f"marker {marker}"
+        label = labels[marker].replace("$", r"\$") if len(labels) else f"marker {marker}"
         _curve(place, compared, fps, marker, coordinate, f"{what}: {label}")
     _residual(axes[1, 0], compared, fps, parts)
     _field(figure, axes[1, 1], compared, at)
@@ -165,4 +167,6 @@ def sequence_figure(
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a picture as .png; the same figure gives the same file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    replace_file(path, buffer.getvalue())

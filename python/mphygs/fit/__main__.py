@@ -24,20 +24,20 @@ from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.profile import Interval, intervals
-from mphygs.fit.run import Run, digest_of, is_run, load_run
-from mphygs.fit.schedule import default_spacing
+from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
+from mphygs.fit.schedule import check_spacing, default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
+from mphygs.in_use import hold
 from mphygs.model.registry import USUAL_LAW, effects, laws
-from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.settings import Settings, available_cores, check_effects
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
 Law = Literal[laws()]
-# Cells of material, eight points each, that tens of gigabytes hold.
-MOST_CELLS = 2e6
+# In one pass over the frames of a sequence.
+MOST_SUBSTEPS = 1e7
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
 
@@ -82,8 +82,6 @@ class FitOptions(CommonOptions):
     feedback: Annotated[float | None, tyro.conf.arg(metavar="[GAIN]")] = None
     """Also the error of the fitted model under feedback from the measurement, beside the free one. Gain from
     0 to 1, without a number 1: a memory of two frames."""
-    plugin: Path | None = None
-    """Python file that registers effects of your own, to be named like the others."""
     intervals: bool = False
     """Also find each interval of two standard deviations from the likelihood: standard errors of a tenth of a
     value and more are lopsided. A few short fits for each of its ends, which are counted from the minimum
@@ -120,8 +118,6 @@ def fitted(
     screening: see `plan_of`; again: the command line that goes on when it is stopped, where the fit is part
     of another command; ready: called when nothing is at fault, before anything is written.
     """
-    if options.plugin is not None:
-        load_plugin(options.plugin)
     if options.resume and not _in_stages(options):
         state = _resumed(options, console)
         capture = capture_of(state)
@@ -131,7 +127,7 @@ def fitted(
     settings = replace(state.settings, workers=options.workers or available_cores())
     experiment = Experiment(capture, settings, dict(state.ranges))
     # What is at fault with the capture on this grid is said here, before an older run is taken away.
-    experiment.problem(state.settings.spacing)
+    _check_duration(experiment, state)
     if not state.history and not state.answer:
         clear(state.folder, plugin=options.plugin)
     if ready is not None:
@@ -142,6 +138,9 @@ def fitted(
         f"{capture.name}: {', '.join(state.ranges)}; {len(state.belief.free)} unknowns, "
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
+    for recording in capture.sequences:
+        for note in () if recording.markers is None else recording.markers.notes:
+            console.say(f"{recording.name}: {note}")
     console.begin()
     if state.options.get("homogeneous"):
         from mphygs.baselines.homogeneous import fit_homogeneous
@@ -168,6 +167,20 @@ def fitted(
     state = replace(state, answer=answer)
     state.save()
     return state, capture
+
+
+def _check_duration(experiment: Experiment, state: Run) -> None:
+    """Raises OptionError where a motion is so long that simulating it once takes hours."""
+    problem = experiment.problem(state.settings.spacing)
+    for name, (_, last) in state.ranges.items():
+        predictor = problem.predictors[name]
+        seconds = last / predictor.recording.fps
+        count = seconds / predictor.stable_substep(state.start)
+        if count > MOST_SUBSTEPS:
+            raise OptionError(
+                f"sequence '{name}': {seconds:.3g} s of motion are {count:.1g} substeps; expected at most "
+                f"{MOST_SUBSTEPS:.0e} (is fps {predictor.recording.fps:g} right?), or fewer --frames"
+            )
 
 
 def _answer(
@@ -223,6 +236,8 @@ def _text(state: Run, capture: Capture, embedded: bool) -> str:
         f"{answer['seconds']:.1f} s; {answer['substeps']} substeps in one pass over these frames ({steps})"
     )
     folder = shlex.quote(str(state.folder))
+    if state.options.get("plugin"):
+        folder += f" --plugin {shlex.quote(str(state.options['plugin']))}"
     lines += ["", "next:"]
     lines.append(
         f"  mphygs compare {folder}     where and when it fails, and whether that is more than noise"
@@ -273,15 +288,15 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         from mphygs.synth.embedded import embedded_capture
 
         out = out or RUNS / "embedded"
-        claim(out)
+        claim(out, plugin=options.plugin)
         console.say("no capture given: making a small one with known truth and a hidden effect")
         path = embedded_capture(out / "capture")
         capture = load_capture(path)
     else:
         path = options.capture
         capture = load_capture(path)
-        out = out or RUNS / capture.name
-        claim(out)
+        out = out or RUNS / folder_name(capture.name)
+        claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))
         stages, capture = _seen(options, capture, out, console)
     if stages is None and (options.without or options.homogeneous or options.stages):
@@ -313,12 +328,7 @@ def chosen_ranges(
     capture: Capture, settings: Settings, wanted: Sequence[str], frames: str | None
 ) -> Experiment:
     """The experiment on the sequences and frames of the options. Raises OptionError."""
-    finest = (sum(part.volume for part in capture.parts) / MOST_CELLS) ** (1.0 / 3.0)
-    if settings.spacing < finest:
-        raise OptionError(
-            f"--spacing: got {settings.spacing:g} m; expected {finest:.2g} m or more, "
-            f"{MOST_CELLS:.0e} cells of material"
-        )
+    check_spacing(capture, settings.spacing, "--spacing")
     try:
         experiment = Experiment.of(
             capture, settings, sequences=wanted or None, frames=_frames(frames, capture, wanted)
@@ -373,10 +383,16 @@ def _frames(text: str | None, capture: Capture, wanted: Sequence[str]) -> tuple[
     return first, last
 
 
+def _default_folder(options: FitOptions) -> Path:
+    """Where a run of these options is kept when they do not say."""
+    return RUNS / (folder_name(load_capture(options.capture).name) if options.capture else "embedded")
+
+
 def _resumed(options: FitOptions, console: Console) -> Run:
     """The run to continue; options given again must be those it began with."""
-    folder = options.out or (RUNS / (load_capture(options.capture).name if options.capture else "embedded"))
+    folder = options.out or _default_folder(options)
     state = load_run(folder)
+    hold(folder)
     for key, default in asdict(FitOptions()).items():
         value = getattr(options, key)
         stored = state.options.get(key, default)

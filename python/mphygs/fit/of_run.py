@@ -15,7 +15,8 @@ from mphygs.compare.metrics import sequence_errors
 from mphygs.compare.noise import observe
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
-from mphygs.fit.run import Run, digest_of
+from mphygs.fit.run import DOCUMENT, Run, digest_of
+from mphygs.fit.schedule import check_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 
@@ -61,13 +62,17 @@ def experiment_of(
     Raises ValueError where the other capture has other parts, CaptureError where one cannot be read.
     """
     settings = run.settings if workers is None else replace(run.settings, workers=workers)
+    where = f"{run.folder / DOCUMENT}: settings.spacing"
     if other is None:
-        experiment = Experiment(capture_of(run), settings, dict(run.ranges))
+        own = capture_of(run)
+        check_spacing(own, settings.spacing, where)
+        experiment = Experiment(own, settings, dict(run.ranges))
         for name, left_out in run.left_out.items():
             _leave_out(experiment, name, np.array(left_out))
         return experiment, run.belief
     # Tracks of another capture are not among this run's stages.
     capture = _with_stages(load_capture(other), run, tracked=False)
+    check_spacing(capture, settings.spacing, where)
     parts = tuple(part.name for part in capture.parts)
     if parts != run.belief.parts:
         expected = ", ".join(run.belief.parts)
@@ -82,9 +87,12 @@ def experiment_of(
 
 
 def _check_places(run: Run, capture: Capture) -> None:
-    """Frames and markers of a run that its capture has. Raises ValueError."""
+    """Parts, frames and markers of a run that its capture has. Raises ValueError."""
     recordings = {recording.name: recording for recording in capture.sequences}
     where = f"{run.folder}: damaged"
+    parts = tuple(part.name for part in capture.parts)
+    if run.belief.parts != parts:
+        raise ValueError(f"{where}: parts {', '.join(run.belief.parts)}; expected {', '.join(parts)}")
     for name in (*run.ranges, *run.left_out):
         if name not in recordings:
             raise ValueError(f"{where}: sequence '{name}'; expected some of {', '.join(recordings)}")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import platform
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
@@ -15,14 +15,20 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
+from mphygs.capture.document import read_document
+from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import Capture
+from mphygs.capture.written import replace_file
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
+from mphygs.fit.run_checks import check_run_document
 from mphygs.model.belief import Belief
-from mphygs.model.user_effect import load_plugin
 from mphygs.simulate.settings import Settings
 
 FORMAT = "mphygs-run/1"
 DOCUMENT, NUMBERS = "run.json", "numbers.safetensors"
+# Folder of the stages of an image capture in a run's, which may stand elsewhere.
+STAGES = "stages"
+_LONGEST_NAME = 100  # bytes of a folder's name
 
 
 @dataclass(frozen=True)
@@ -98,8 +104,8 @@ class Run:
         content = save(
             numbers, metadata={"format": FORMAT, "keys": json.dumps([p.key for p in self.belief.parameters])}
         )
-        _replace_file(self.folder / NUMBERS, content)
-        _replace_file(self.folder / DOCUMENT, (json.dumps(self._document(), indent=1) + "\n").encode())
+        replace_file(self.folder / NUMBERS, content)
+        replace_file(self.folder / DOCUMENT, json.dumps(self._document(), indent=1) + "\n")
 
     def _document(self) -> dict[str, object]:
         stages = {} if self.stages is None else {"stages": self._told(self.stages)}
@@ -132,6 +138,12 @@ class Run:
         """A path as the document has it: what stands inside the run folder moves with it."""
         inside = path.resolve().is_relative_to(self.folder.resolve())
         return str(path.resolve().relative_to(self.folder.resolve()) if inside else path.resolve())
+
+
+def folder_name(name: str) -> str:
+    """A name that may be any text as that of one folder: letters, digits, "_", "-", "+", "." and spaces."""
+    plain = re.sub(r"[^\w .+-]+", "-", name).encode()[:_LONGEST_NAME].decode(errors="ignore")
+    return plain.strip(" .") or "capture"
 
 
 def versions() -> dict[str, str]:
@@ -178,15 +190,6 @@ def digest_of(capture: Capture) -> str:
     return hashed.hexdigest()
 
 
-def _replace_file(path: Path, content: bytes) -> None:
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    with part.open("wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(part, path)
-
-
 def same_file(one: Path, other: str | Path) -> bool:
     """Whether both are there and the same file."""
     return one.exists() and Path(other).exists() and one.samefile(other)
@@ -204,62 +207,45 @@ def load_run(path: str | Path) -> Run:
         folder = folder.parent
     if not is_run(folder):
         raise ValueError(f"{folder}: is not a run; expected a folder with a {DOCUMENT}, as fit writes it")
-    where = folder / DOCUMENT
-    try:
-        document = json.loads(where.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{where}: is not JSON ({error}); expected a run as fit writes it") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        found = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise ValueError(f"{where}: format is {found!r}; expected {FORMAT!r}")
-    options = document.get("options", {})
-    if not isinstance(options, dict):
-        raise ValueError(f"{where}: 'options' is no object; expected a run as fit writes it")
-    if options.get("plugin"):
-        load_plugin(str(options["plugin"]))
+    check_links(folder)
+    root = read_document(folder / DOCUMENT, finite=False)
+    if root.table().get("format") != FORMAT:
+        raise root.child("format").wrong(f'"{FORMAT}"')
+    check_run_document(root)
+    document = root.table()
     try:
         belief = belief_from_document(document["belief"])
         run = Run(
             folder=folder,
             options=document["options"],
             versions=document["versions"],
-            seed=_whole(document["seed"]),
+            seed=document["seed"],
             # A capture inside the run folder moves with it.
             capture=folder / document["capture"],
             digest=document["digest"],
             stages=folder / document["stages"] if "stages" in document else None,
-            settings=_settings(document["settings"], document["transfer"]),
-            ranges={name: (int(a), int(b)) for name, (a, b) in document["ranges"].items()},
+            settings=Settings(**document["settings"], transfer=document["transfer"]),
+            ranges={name: (a, b) for name, (a, b) in document["ranges"].items()},
             start=belief_from_document(document["start"]),
             belief=belief,
             history=tuple(StageRecord(**{**r, "costs": tuple(r["costs"])}) for r in document["history"]),
-            left_out={n: tuple((int(f), int(m)) for f, m in e) for n, e in document["left_out"].items()},
+            left_out={n: tuple((f, m) for f, m in e) for n, e in document["left_out"].items()},
             answer=document["answer"],
             earlier=belief_from_document(document["earlier"]) if document.get("earlier") else None,
         )
-        complete = bool(document["complete"])
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{where}: {' '.join(what.split())}; expected a run as fit writes it") from error
-    if not complete:
+    except ValueError as error:
+        raise CaptureError(f"{root.file}: {error}; expected a run as fit writes it") from error
+    if not document["complete"]:
         return run
     covariance, information = _matrices(folder, belief)
     return replace(run, covariance=covariance, information=information)
 
 
-def _whole(number: object) -> int:
-    """A seed. Raises ValueError for what is none."""
-    if not isinstance(number, int) or number < 0:
-        raise ValueError(f"'seed' is {number!r}; expected a whole number, zero or more")
-    return number
-
-
-def _settings(told: Mapping[str, object], transfer: str) -> Settings:
-    """Raises ValueError where the spacing is no length."""
-    spacing = told["spacing"]
-    if not isinstance(spacing, (int, float)) or not 0.0 < spacing < float("inf"):
-        raise ValueError(f"'settings' has the spacing {spacing!r}; expected a length above zero [m]")
-    return Settings(**told, transfer=transfer)
+def check_links(folder: Path) -> None:
+    """Raises ValueError where what a command writes into a run would go elsewhere, through a link in it."""
+    for path in folder.iterdir():
+        if path.is_symlink() and path.name != STAGES and not path.resolve().is_relative_to(folder.resolve()):
+            raise ValueError(f"{path}: is a link that leads out of the run; expected a file or folder there")
 
 
 def _matrices(folder: Path, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
@@ -271,6 +257,8 @@ def _matrices(folder: Path, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
     except (OSError, SafetensorError, KeyError) as error:
         raise ValueError(f"{where}: cannot be read ({error}); expected the numbers of {DOCUMENT}") from error
     count = len(belief.free)
+    if not all(array.dtype == np.float64 and np.isfinite(array).all() for array in (covariance, information)):
+        raise ValueError(f"{where}: holds what is no number; expected the numbers of {DOCUMENT}")
     if not covariance.shape == information.shape == (count, count) or not np.array_equal(
         values, [p.value for p in belief.parameters]
     ):

@@ -17,6 +17,8 @@ from mphygs.simulate.settings import Settings
 
 # Cells that an object of default spacing is worth: about 250 of its volume.
 DEFAULT_CELLS = 250
+# Cells of material, eight points each, that tens of gigabytes hold.
+MOST_CELLS = 2e6
 COARSE_FACTOR = 1.5
 # Of the default spacing: thin parts are lost on grids coarser than this.
 COARSEST = 1.7
@@ -77,6 +79,15 @@ def default_spacing(capture: Capture) -> float:
     spacing = (volume / DEFAULT_CELLS) ** (1.0 / 3.0)
     digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)
     return float(np.round(spacing / digits) * digits)
+
+
+def check_spacing(capture: Capture, spacing: float, where: str) -> None:
+    """Raises ValueError, beginning with `where`, for a grid of more cells than fit into memory."""
+    finest = (sum(part.volume for part in capture.parts) / MOST_CELLS) ** (1.0 / 3.0)
+    if spacing < finest:
+        raise ValueError(
+            f"{where}: got {spacing:g} m; expected {finest:.2g} m or more, {MOST_CELLS:.0e} cells of material"
+        )
 
 
 def screening_spacing(capture: Capture) -> float:

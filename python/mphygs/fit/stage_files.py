@@ -6,14 +6,13 @@ expected.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.errors import fault
+from mphygs.capture.files import Size, read_arrays
 from mphygs.scene.object_files import read_particles
 from mphygs.scene.soft_boundary import Particles
 
@@ -84,14 +83,11 @@ def particles_of(folder: Path, segments: int) -> Particles:
 
 def read_tracks(path: Path, *, frames: int) -> Tracks:
     """Tracks of a sequence of so many frames. Raises CaptureError."""
-    arrays = _arrays(path, {"rest": (None, 3), "position": (None, None, 3), "sigma": None})
+    shapes = {"rest": (None, 3), "position": (Size.frames(frames), None, 3), "sigma": None}
+    arrays = read_arrays(path, shapes, others=True)
     rest, position, sigma = _finite(path, "rest", arrays["rest"]), arrays["position"], arrays["sigma"]
-    if len(position) != frames:
-        raise fault(f"{path}: position", f"has {len(position)} frames", f"{frames}, as the sequence")
     if position.shape[1] != len(rest):
         raise fault(f"{path}: position", f"has {position.shape[1]} tracks", f"{len(rest)}, as rest")
-    if np.isinf(position).any():
-        raise fault(f"{path}: position", "is infinite", "numbers, NaN where a point was not seen")
     if sigma.shape not in ((), (len(rest),)) or not np.all(sigma > 0) or not np.isfinite(sigma).all():
         raise fault(
             f"{path}: sigma", "is no standard deviation", f"one number or {len(rest)}, above zero [m]"
@@ -101,11 +97,10 @@ def read_tracks(path: Path, *, frames: int) -> Tracks:
 
 def read_motion(path: Path, *, frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Box (2, 3) at rest [m], position (T, 3) [m], unit quaternion (T, 4) of a hold. Raises CaptureError."""
-    arrays = _arrays(path, {"position": (None, 3), "quaternion": (None, 4), "box": (2, 3)})
+    every = Size.frames(frames)
+    shapes = {"position": (every, 3), "quaternion": (every, 4), "box": (2, 3)}
+    arrays = read_arrays(path, shapes, others=True)
     box, position, quaternion = (_finite(path, n, arrays[n]) for n in ("box", "position", "quaternion"))
-    for name, values in (("position", position), ("quaternion", quaternion)):
-        if len(values) != frames:
-            raise fault(f"{path}: {name}", f"has {len(values)} frames", f"{frames}, as the sequence")
     length = np.linalg.norm(quaternion, axis=1)
     if np.abs(length - 1).max() > _UNIT:
         frame = int(np.abs(length - 1).argmax())
@@ -125,27 +120,3 @@ def _finite(path: Path, name: str, values: np.ndarray) -> np.ndarray:
             f"{path}: {name}", f"is not finite in row {np.argwhere(~np.isfinite(values))[0, 0]}", "numbers"
         )
     return values
-
-
-def _arrays(path: Path, shapes: dict[str, tuple[int | None, ...] | None]) -> dict[str, np.ndarray]:
-    """The named arrays of an .npz as float64; others may be in it. None in a shape stands for any size."""
-    expected = f"an .npz with {', '.join(shapes)}"
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            for name in shapes:
-                if name not in archive.files:
-                    raise fault(str(path), f'array "{name}" is missing', expected)
-            found = {name: np.asarray(archive[name], dtype=np.float64) for name in shapes}
-    except CaptureError:
-        raise
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise fault(str(path), "cannot be read, or is truncated", expected) from error
-    for name, shape in shapes.items():
-        have = found[name].shape
-        fits = shape is None or (
-            len(have) == len(shape) and all(w in (None, h) for w, h in zip(shape, have, strict=True))
-        )
-        if not fits or found[name].size == 0:
-            wanted = " x ".join("any" if w is None else str(w) for w in shape or ())
-            raise fault(f"{path}: {name}", f"has shape {have}", wanted)
-    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from matplotlib.figure import Figure
 from mphygs.capture.images import write_image
 from mphygs.capture.rotation import matrix_from_quaternion, rotation_vector_from_quaternion
 from mphygs.capture.views import Photograph
+from mphygs.capture.written import replace_file
 from mphygs.motion.stage_files import ContactHold, Tracks
 from mphygs.render.splatting import splat
 from mphygs.scene.gaussians import Gaussians
@@ -101,7 +103,9 @@ def write_contact_picture(
     below.set_ylabel("turn, rotation vector [degrees]")
     below.set_xlabel("time [s]")
     above.legend(title="dots: pointed at" if coarse is not None else None, loc="upper left")
-    figure.savefig(path, dpi=110)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    replace_file(path, buffer.getvalue())
 
 
 def window_of(photographs: Sequence[Photograph]) -> tuple[float, float, float, float]:

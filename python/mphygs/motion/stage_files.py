@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.errors import CaptureError, fault
-from mphygs.capture.files import read_arrays
+from mphygs.capture.files import Size, read_arrays
 from mphygs.capture.rotation import matrix_from_quaternion
+from mphygs.capture.written import naming
 
 STAGES, RECORD = "stages", "stage.json"
 GAUSSIANS = f"{STAGES}/rest/gaussians.ply"
@@ -144,7 +145,8 @@ def write_part(path: Path, arrays: Mapping[str, np.ndarray]) -> Path:
     """An .npz beside the place where it belongs, to be moved there once it is whole; makes the folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"part-{path.name}")
-    np.savez_compressed(part, **arrays)
+    with naming(path):
+        np.savez_compressed(part, **arrays)
     return part
 
 
@@ -171,12 +173,9 @@ def digest_of_files(*paths: Path) -> str:
 
 def read_registered(path: Path, *, gaussians: int) -> Registered:
     """pose.npz. Raises CaptureError, one line, for another number of Gaussians and what is no pose."""
-    arrays = read_arrays(path, {"quaternion": (4,), "position": (3,), "refined": (None, 3)})
+    points = Size(gaussians, "points", "as gaussians.ply")
+    arrays = read_arrays(path, {"quaternion": (4,), "position": (3,), "refined": (points, 3)})
     _check_finite(path, arrays)
-    if len(arrays["refined"]) != gaussians:
-        raise fault(
-            f"{path}: refined", f"has {len(arrays['refined'])} points", f"{gaussians}, as gaussians.ply"
-        )
     return Registered(_unit(path, arrays["quaternion"]), arrays["position"], arrays["refined"])
 
 
@@ -185,8 +184,8 @@ def read_tracks(path: Path, *, frames: int, gaussians: int | None = None) -> Tra
     together, a sigma that is not above zero, and rows that gaussians.ply does not have."""
     shapes = {
         "rest": (None, 3),
-        "position": (None, None, 3),
-        "quaternion": (None, None, 4),
+        "position": (Size.frames(frames), None, 3),
+        "quaternion": (Size.frames(frames), None, 4),
         "gaussian": (None,),
     }
     try:
@@ -221,11 +220,9 @@ def read_tracks(path: Path, *, frames: int, gaussians: int | None = None) -> Tra
 
 def read_hold(path: Path, *, frames: int) -> ContactHold:
     """hold.npz. Raises CaptureError, one line, for other frames than the sequence's and what is no pose."""
-    arrays = read_arrays(path, {"position": (None, 3), "quaternion": (None, 4), "box": (2, 3)})
+    every = Size.frames(frames)
+    arrays = read_arrays(path, {"position": (every, 3), "quaternion": (every, 4), "box": (2, 3)})
     _check_finite(path, arrays)
-    for name in ("position", "quaternion"):
-        if len(arrays[name]) != frames:
-            raise fault(f"{path}: {name}", f"has {len(arrays[name])} frames", f"{frames}, as the sequence")
     if not (arrays["box"][0] < arrays["box"][1]).all():
         raise fault(f"{path}: box", f"is {arrays['box'].tolist()}", "a lower corner below an upper one")
     return ContactHold(arrays["position"], _unit(path, arrays["quaternion"]), arrays["box"])

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
+from mphygs.capture.written import replace_file
+from mphygs.claim import claim_file
+from mphygs.command import Answer, CommonOptions, Console, plain, run
 from mphygs.compare.__main__ import comparison_document
 from mphygs.compare.assess import Compared
 from mphygs.compare.image_errors import joined
@@ -55,9 +57,7 @@ def report(options: ReportOptions, console: Console) -> Answer:
     state = load_run(options.run)
     parameters = parameters_of(state)
     out = options.out or state.folder / "report.html"
-    if out.is_dir():
-        raise OptionError(f"--out {out}: is a folder; expected the name of a file")
-    out.parent.mkdir(parents=True, exist_ok=True)
+    claim_file(out)
     diagnosis = _optional(state.folder / DIAGNOSIS, "verdict", "ranking", "advice")
     steps = _optional(state.folder / STEPS, "steps")
     experiment, belief = experiment_of(state, workers=options.workers)
@@ -92,7 +92,7 @@ def report(options: ReportOptions, console: Console) -> Answer:
         force=missing_force_text(told, state.capture, state.folder) if told else (),
         steps=steps,
     )
-    out.write_text(page(contents), encoding="utf-8")
+    replace_file(out, page(contents))
     return Answer({"run": str(state.folder), "report": str(out)}, f"report: {out}")
 
 
@@ -140,7 +140,9 @@ def commands_of(state: Run) -> list[str]:
     lines = [shlex.join(words)]
     if (state.folder / DIAGNOSIS).is_file() and "discover" not in program:
         lines.append(f"mphygs diagnose {folder}")
-    return [*lines, f"mphygs compare {folder}", f"mphygs report {folder}"]
+    lines += [f"mphygs compare {folder}", f"mphygs report {folder}"]
+    plugin = f" --plugin {shlex.quote(str(options['plugin']))}" if options.get("plugin") else ""
+    return [lines[0], *(line + plugin for line in lines[1:])]
 
 
 def _picture(experiment: Experiment, compared: Compared, name: str) -> bytes:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.archives import open_archive
+from mphygs.capture.errors import fault
 from mphygs.capture.features import Principal, Reduction
 from mphygs.capture.meshes import Part, read_mesh, write_mesh
+from mphygs.capture.written import replace_arrays
 from mphygs.scene.soft_boundary import Particles
 
 FEATURES, PARTICLES, PARTS = "features.npz", "particles.npz", "parts"
@@ -37,13 +38,12 @@ def write_features(path: Path, features: GaussianFeatures) -> None:
         for k, (principal, weight) in enumerate(features.reduction.parts):
             more |= {f"mean_{k}": principal.mean, f"axes_{k}": principal.axes}
             more[f"scale_{k}"] = np.array([principal.scale, weight])
-    np.savez(
-        path,
-        **more,
-        appearance=features.appearance.astype(np.float32),
-        affinity=features.affinity.astype(np.float32),
-        source=np.array(features.source),
-    )
+    arrays = {
+        "appearance": features.appearance.astype(np.float32),
+        "affinity": features.affinity.astype(np.float32),
+        "source": np.array(features.source),
+    }
+    replace_arrays(path, more | arrays)
 
 
 def read_features(path: Path, count: int) -> GaussianFeatures:
@@ -86,15 +86,14 @@ def _reduction(path: Path, arrays: dict[str, np.ndarray], channels: int) -> Redu
 def write_particles(path: Path, particles: Particles) -> None:
     """Write particles.npz."""
     more = {} if particles.pixel is None else {"pixel": np.array(particles.pixel)}
-    np.savez(
-        path,
-        **more,
-        position=particles.position,
-        label=particles.label.astype(np.int32),
-        signed_distance=particles.signed_distance,
-        spacing=np.array(particles.spacing),
-        appearance=particles.appearance.astype(np.float32),
-    )
+    arrays = {
+        "position": particles.position,
+        "label": particles.label.astype(np.int32),
+        "signed_distance": particles.signed_distance,
+        "spacing": np.array(particles.spacing),
+        "appearance": particles.appearance.astype(np.float32),
+    }
+    replace_arrays(path, more | arrays)
 
 
 def read_particles(path: Path) -> Particles:
@@ -150,17 +149,11 @@ def read_parts(folder: Path) -> list[Part]:
 
 
 def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    expected = f"an .npz with {', '.join(names)}"
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            for name in names:
-                if name not in stored:
-                    raise fault(str(path), f'has no "{name}"', expected)
-            return {name: stored[name] for name in stored.files}
-    except CaptureError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise fault(str(path), f"cannot be read ({error})", expected) from error
+    with open_archive(path, f"an .npz with {', '.join(names)}") as archive:
+        for name in names:
+            if name not in archive.names:
+                raise fault(str(path), f'has no "{name}"', f"an .npz with {', '.join(names)}")
+        return {name: archive.read(name) for name in archive.names}
 
 
 def _numbers(

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from mphygs.capture.errors import fault
+from mphygs.capture.written import replace_file
 from mphygs.scene.gaussians import HARMONIC_COUNTS, Gaussians
 
 _TYPES = {
@@ -21,7 +22,7 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _EXPECTED = "a .ply of 3D Gaussian splatting"
-_LONGEST_HEADER = 100_000  # bytes
+_LONGEST_HEADER, _LARGEST = 100_000, 1_000_000_000  # bytes
 _LOGIT_LIMIT = 1e-6  # from 0 and 1, where the logit has no value
 
 
@@ -101,12 +102,14 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
         table[name] = column
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
     header += [f"property float {name}" for name in columns] + ["end_header", ""]
-    path.write_bytes("\n".join(header).encode("ascii") + table.tobytes())
+    replace_file(path, "\n".join(header).encode("ascii") + table.tobytes())
 
 
 def _read_vertices(path: Path) -> np.ndarray:
     """The rows of the first element, which must be `vertex`, as a structured array."""
     try:
+        if path.stat().st_size > _LARGEST:
+            raise fault(str(path), f"has more than {_LARGEST} bytes", _EXPECTED)
         data = path.read_bytes()
     except OSError as error:
         raise fault(str(path), f"cannot be read ({error.strerror})", _EXPECTED) from error
@@ -123,7 +126,7 @@ def _read_vertices(path: Path) -> np.ndarray:
     first = words[elements[0]] if elements else []
     if not words or words[0][0] != "format" or words[0][1:2] == [] or words[0][1] not in _ORDERS:
         raise fault(str(path), "has no known format line", f"one of {', '.join(_ORDERS)}")
-    if len(first) != 3 or first[1] != "vertex" or not first[2].isdigit():
+    if len(first) != 3 or first[1] != "vertex" or not first[2].isdigit() or len(first[2]) > 12:
         raise fault(str(path), "its first element is not vertex", _EXPECTED)
     stop = elements[1] if len(elements) > 1 else len(words)
     fields = []
@@ -134,6 +137,8 @@ def _read_vertices(path: Path) -> np.ndarray:
     if len({name for name, _ in fields}) < len(fields):
         raise fault(str(path), "has a property twice", "every property once")
     count, body = int(first[2]), data[newline + 1 :]
+    if count * len(fields) > len(body):
+        raise fault(str(path), f"is truncated: it says that it holds {count} Gaussians", _EXPECTED)
     if words[0][1] == "ascii":
         try:
             numbers = np.array(body.split(None, count * len(fields))[: count * len(fields)], dtype=np.float64)
