@@ -20,9 +20,8 @@ from mphygs.model.registry import effects
 from mphygs.simulate.body import Body
 from mphygs.simulate.settings import impossible_effects
 
-# Values of a level; places of what acts at one, of what came after the published shape was taken (it leans
-# the object at once, which a heavier one nearer to the axis does nearly as well), and of what is tied.
-LEVELS, PLACES, LATE_PLACES, TIED_PLACES = 3, 8, 48, 3
+# Values of a level; places of what acts at one, and of what is tied.
+LEVELS, PLACES, TIED_PLACES = 3, 12, 3
 # Settings of a load that came after the published shape was taken, and how it is told from one that this
 # shape bears.
 LATE, SINCE_THE_START = {"at_rest": False}, ", since the first frame"
@@ -132,7 +131,7 @@ def _placements(body: Body, spec: EffectSpec, late: dict) -> Iterator[tuple[str,
     if not spec.placed:
         yield "", dict(late)
         return
-    count = TIED_PLACES if spec.of_role("anchor") else LATE_PLACES if late else PLACES
+    count = TIED_PLACES if spec.of_role("anchor") else PLACES
     for place in spread_places(body, count):
         yield f" at ({said(place, place_digits(body))})", {"place": place.tolist()} | late
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mphygs.capture.document import Entry
-from mphygs.model.belief import LAWS, PRESTRESS_MODES
-from mphygs.model.registry import effects
+from mphygs.model.belief import PRESTRESS_MODES
+from mphygs.model.registry import effects, laws
 from mphygs.simulate.settings import TRANSFERS
 
 # Of materials, far beyond what any fit finds: outside, a simulation ends nowhere.
@@ -82,7 +82,7 @@ def check_belief_document(entry: Entry, *, plugin: object = None) -> None:
                 raise value.wrong(f"a {name}.{p.name} from {p.lower:g} to {p.upper:g} {p.unit}")
         _check_term(term["settings"], parts)
     entry["prestress"].choice(PRESTRESS_MODES)
-    entry["law"].choice(LAWS)
+    entry["law"].choice(laws())
     if entry["known_mass"].value is not None and not entry["known_mass"].number() > 0:
         raise entry["known_mass"].wrong("a mass above zero [kg]")
     if likenesses := entry.get("likenesses"):
