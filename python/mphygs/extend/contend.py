@@ -87,12 +87,11 @@ def refitted(
     before: Solution,
     scored: Scored,
     *,
-    iterations: int = 3,
     accuracy: float = 2e-3,
     criteria: Criteria = CRITERIA,
 ) -> Contender:
-    """A candidate with all numbers free, from where its score puts it; struck where it cannot be
-    simulated."""
+    """A candidate with all numbers free, from where its score puts it, after one Jacobian and its secants;
+    struck where it cannot be simulated."""
     best: Solution | None = None
     why = scored.struck
     for start in (scored.start, *scored.others):
@@ -101,7 +100,7 @@ def refitted(
         try:
             belief = simulable_strength(problem, start, scored.effect, before.belief)
             known = begun(problem, before, belief)
-            found = minimise(problem, belief, iterations=iterations, relative_tolerance=accuracy, known=known)
+            found = minimise(problem, belief, iterations=1, relative_tolerance=accuracy, known=known)
         except FAILURES as error:
             why = (str(error).splitlines() or [type(error).__name__])[0]
             continue
@@ -109,13 +108,16 @@ def refitted(
             best = found
     if best is None:
         return Contender(scored, None, None, struck=why or "nothing to start from")
+    return predicted(experiment, problem, Contender(scored, best, None), criteria)
+
+
+def predicted(experiment: Experiment, problem: Problem, t: Contender, criteria: Criteria) -> Contender:
+    """The contender with what it predicts; struck where what was not fitted cannot be simulated."""
     try:
-        compared = experiment.compare(
-            best.belief, problem.settings.spacing, jacobian=False, gain=problem.gain
-        )
+        compared = experiment.compare(t.belief, problem.settings.spacing, jacobian=False, gain=problem.gain)
     except FAILURES as error:
-        return Contender(scored, None, None, struck=str(error).splitlines()[0])
-    return Contender(scored, best, predictive(compared, criteria))
+        return replace(t, struck=str(error).splitlines()[0])
+    return replace(t, predictive=predictive(compared, criteria))
 
 
 def simulable_strength(problem: Problem, start: Belief, name: str, before: Belief) -> Belief:
@@ -132,6 +134,8 @@ def simulable_strength(problem: Problem, start: Belief, name: str, before: Belie
     raise SimulationError(f"{name}: no strength of it has a stable substep")
 
 
+# Further Jacobians of a refit that leads.
+ONWARD = 2
 # Of the substep without the effect: no refit starts with less.
 SHORTEST = 0.3
 
@@ -182,13 +186,29 @@ def contenders(
     criteria: Criteria = CRITERIA,
     report: Callable[[str], None] | None = None,
 ) -> list[Contender]:
-    """All of some candidates refitted, side by side where there are cores."""
+    """All of some candidates refitted, side by side where there are cores: first with one Jacobian each, and
+    those that bring at least `Criteria.promising` of what the best one does go on."""
 
     def work(own: Experiment, scored: Scored) -> Contender:
-        found = refitted(own, own.problem(spacing).under(gain), before, scored, criteria=criteria)
-        if report:
-            what = found.struck or "{:.3f} fitted, {:.3f} unseen".format(*found.predictive.misfit)
-            report(f"  {scored.label}: {what}")
-        return found
+        return refitted(own, own.problem(spacing).under(gain), before, scored, criteria=criteria)
 
-    return side_by_side(experiment, work, list(chosen))
+    def go_on(own: Experiment, t: Contender) -> Contender:
+        problem = own.problem(spacing).under(gain)
+        try:
+            found = minimise(problem, t.belief, iterations=ONWARD, relative_tolerance=2e-3)
+        except FAILURES:
+            return t
+        return predicted(own, problem, replace(t, solution=found), criteria)
+
+    def brings(t: Contender) -> float:
+        return 0.0 if t.solution is None else before.evaluation.chi_square - t.solution.evaluation.chi_square
+
+    found = side_by_side(experiment, work, list(chosen))
+    most = max((brings(t) for t in found if t.struck is None), default=0.0)
+    onward = [k for k, t in enumerate(found) if t.struck is None and brings(t) >= criteria.promising * most]
+    for k, t in zip(onward, side_by_side(experiment, go_on, [found[k] for k in onward]), strict=True):
+        found[k] = t
+    for t in found if report else ():
+        what = t.struck or "{:.3f} fitted, {:.3f} unseen".format(*t.predictive.misfit)
+        report(f"  {t.scored.label}: {what}")
+    return found
