@@ -41,14 +41,15 @@ def claim(
     """Hold a folder for a run, sure that writing it destroys nothing but an older run's results.
 
     A folder is taken that is new or empty, or that carries this program's mark: a file that says so, an older
-    run's document, or that of a command that was broken off. Stages may be there, which may be a user's own.
+    run's document, or that of a command that was broken off. Stages may be there, which may be a user's own,
+    and folders that carry the mark themselves.
     beside: names of folders with a run of their own by which one that was not finished is known as well;
     alone: of a file of steps by which it is where nothing else stands there; plugin: the file of effects that
     the new run uses, which stays. Raises OptionError; HeldError where another command writes there.
     """
     _check_place(folder)
     if folder.is_dir():
-        found = {item.name for item in folder.iterdir()} - {FOLDER}
+        found = {i.name for i in folder.iterdir() if i.name != FOLDER and not is_marked(i)}
         known = (
             is_marked(folder)
             or any(_is_run(folder / name / DOCUMENT) for name in (".", *beside))

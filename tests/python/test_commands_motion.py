@@ -277,7 +277,7 @@ def points_on_a_line(folder: Path) -> None:
         (lacks_a_frame, 'camera "camera2" has no frame 7; expected frames 0 to 7 of every camera, in step'),
         (lacks_a_picture, "camera2_003.png"),
         (one_camera, "has 1 camera; expected at least 2 that saw the motion"),
-        (small_mask, "the mask is 40 x 40 pixels; expected 80 x 80, as its picture"),
+        (small_mask, "is 40 x 40 pixels; expected 80 x 80, as its picture"),
         (empty_mask, "the mask is empty; expected white where the object is seen"),
         (unknown_image, 'there is no view "restX"; expected one of rest0'),
         (unknown_camera_of_the_contact, 'there is no camera "camera9"; expected one of camera0'),

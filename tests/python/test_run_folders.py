@@ -250,6 +250,16 @@ def test_stages_of_ones_own_make_a_folder_to_work_in(tmp_path: Path) -> None:
     assert (tmp_path / "run" / "stages" / "rest" / "gaussians.ply").read_text() == "precious"
 
 
+def test_a_run_may_stand_inside_the_folder_of_its_stages(tmp_path: Path) -> None:
+    with held():
+        claim(tmp_path / "daisy" / "full")
+        (tmp_path / "daisy" / "full" / "run.json").write_text("{}")
+        claim(tmp_path / "daisy")
+    mine(tmp_path / "other", "full/notes.txt")
+    with pytest.raises(OptionError, match="expected a run folder"):
+        claim(tmp_path / "other")
+
+
 def test_outputs_go_to_new_folders_or_to_those_of_before(elastic: Path, tmp_path: Path) -> None:
     mine(tmp_path / "mine", "swing.npz", "swing.png")
     for main in (predict.main, compare.main):
