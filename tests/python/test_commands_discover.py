@@ -158,7 +158,7 @@ def test_a_fit_takes_away_what_a_diagnosis_had_found(capture: Path, tmp_path: Pa
     out = tmp_path / "run"
     fitted = (fit.main, capture, "--out", out, "--spacing", SPACING)
     answer(*fitted)
-    (out / diagnose.SO_FAR).write_text("{}")
+    (out / diagnose.SO_FAR).write_text('{"steps": [], "states": []}')
     answer(*fitted)
     assert not (out / diagnose.SO_FAR).exists()
 
@@ -388,11 +388,19 @@ def test_no_run_is_written_over_what_is_none(elastic: Path, capture: Path, tmp_p
         assert snapshot(folder) == before
 
 
+# What commands find stands in a run's folder under these names.
+FOUND = {
+    "diagnosis.json": '{"verdict": "adequate", "ranking": []}',
+    "comparison.json": '{"sequences": {}, "adequate": true}',
+    "report.html": "<!doctype html><title>mphygs: run</title>",
+}
+
+
 def test_extend_takes_away_what_was_found_with_an_older_run(elastic: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     shutil.copytree(elastic, out)
     for name in ("diagnosis.json", "comparison.json", "report.html"):
-        (out / name).write_text("{}")
+        (out / name).write_text(FOUND[name])
     answer(extend.main, elastic, "gravity", "--out", out)
     assert not any((out / name).exists() for name in ("diagnosis.json", "comparison.json", "report.html"))
     assert load_run(out).belief.effects == ("gravity",)
@@ -404,7 +412,7 @@ def test_a_place_that_cannot_be_written_to_is_named(command: object, elastic: Pa
     place.write_text("mine")
     code, _, err = call(command, elastic, "--out", place)
     last = err.splitlines()[-1]
-    assert code == 2 and str(place) in last and "expected a place to read and write" in last
+    assert code == 2 and f"{place}: is a file; expected a folder" in last
     assert place.read_text() == "mine"
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mphygs.compare.assess import whiten_all
+from mphygs.compare.assess import Compared, whiten_all
 from mphygs.diagnose.criteria import CRITERIA, Criteria
 from mphygs.diagnose.propose import proposals
 from mphygs.diagnose.scan import Scan, Scored, scan
@@ -15,7 +15,6 @@ from mphygs.extend.contend import FAILURES, Contender, Predictive, contenders, g
 from mphygs.extend.release import released
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import TOTAL_LAGRANGIAN
@@ -58,20 +57,23 @@ def gains_of(experiment: Experiment) -> tuple[float, ...]:
     return (1.0, 0.1, 0.01, 0.0) if experiment.settings.transfer == TOTAL_LAGRANGIAN else (0.0,)
 
 
-def is_near(experiment: Experiment, problem: Problem, evaluation: Evaluation, criteria: Criteria) -> bool:
-    """Whether tangents say what a model lacks (see `Criteria.share`)."""
-    if evaluation.misfit < criteria.near:
-        return True
-    off = moved = 0.0
-    for name, (first, last) in problem.ranges.items():
-        observation = experiment.observations[name]
-        position = observation.position[first:last]
-        seen = np.isfinite(position).all(-1)
-        place = np.where(seen[..., None], position, 0.0)
-        mean = place.sum(0) / np.maximum(seen.sum(0), 1)[:, None]
-        off += np.sum((position - evaluation.positions[name][first:last])[seen] ** 2) / observation.sigma**2
-        moved += np.sum((position - mean)[seen] ** 2) / observation.sigma**2
-    return bool(off <= criteria.share**2 * moved)
+def is_near(compared: Mapping[str, Compared], criteria: Criteria) -> bool:
+    """Whether tangents say what a model lacks (see `Criteria.share`), in fitted frames and in the others."""
+    for fitted in (True, False):
+        off = moved = 0.0
+        for item in compared.values():
+            frame = np.arange(*item.frames)
+            inside = (item.fit[0] <= frame) & (frame < item.fit[1])
+            position = item.observation.position[frame[inside == fitted]]
+            seen = np.isfinite(position).all(-1)
+            place = np.where(seen[..., None], position, 0.0)
+            mean = place.sum(0) / np.maximum(seen.sum(0), 1)[:, None]
+            square = item.observation.sigma**2
+            off += np.sum((position - item.predicted[frame[inside == fitted]])[seen] ** 2) / square
+            moved += np.sum((position - mean)[seen] ** 2) / square
+        if off > criteria.share**2 * moved:
+            return False
+    return True
 
 
 def assimilated(
@@ -99,19 +101,19 @@ def assimilated(
                 iterations=8 if found is None else 3,
                 relative_tolerance=ACCURACY,
             )
-            far = not is_near(experiment, problem, solution.evaluation, criteria)
-            if gain == 0.0:
-                far = solution.evaluation.misfit > criteria.near
+            compared = experiment.compare(solution.belief, spacing, jacobian=False, gain=gain)
+            told = predictive(compared, criteria)
+            noise = max(told.misfit) < criteria.near
+            far = not noise and (gain == 0.0 or not is_near(compared, criteria))
             if found is not None and far:
                 break
-            compared = experiment.compare(solution.belief, spacing, jacobian=False, gain=gain)
         except FAILURES:
             if found is None and gain == gains[-1]:
                 raise
             if found is None:
                 continue
             break
-        found = Beside(solution, predictive(compared, criteria), gain)
+        found = Beside(solution, told, gain)
         say("under feedback {:g}: {:.3f} sigma fitted, {:.3f} unseen".format(gain, *found.predictive.misfit))
         if far:
             break
