@@ -12,7 +12,7 @@ from mphygs.capture.holds import Hold, Load, read_hold, read_load
 from mphygs.capture.markers import Markers, read_markers
 from mphygs.capture.meshes import Part, read_part
 from mphygs.capture.record import Capture, Known, Sequence
-from mphygs.capture.save import FORMAT, RESTS, save_capture
+from mphygs.capture.save import FORMAT, RESTS, STARTS, save_capture
 
 __all__ = [
     "Capture",
@@ -138,7 +138,7 @@ def _read_per_part(
 def _read_sequence(folder: Path, entry: Entry) -> Sequence:
     entry.check_keys(
         required=("name", "fps", "frames"),
-        optional=("fit", "predict", "held", "loads", "release", "markers", "views"),
+        optional=("fit", "predict", "held", "loads", "release", "start", "markers", "views"),
     )
     name = entry["name"].text()
     fps = entry["fps"].number()
@@ -152,6 +152,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         release = given.integer()
         if not 0 <= release < frames:
             raise given.wrong(f"a frame of the sequence, 0 to {frames - 1}")
+    start = _read_start(entry.get("start"), release)
     held, loads, markers, views = (entry.get(key) for key in ("held", "loads", "markers", "views"))
     return Sequence(
         name=name,
@@ -162,9 +163,23 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         held=tuple(read_hold(folder, item, frames) for item in held.elements()) if held else (),
         loads=tuple(read_load(item, frames) for item in loads.elements()) if loads else (),
         release=release,
-        markers=read_markers(folder, markers, fps=fps, frames=frames, release=release) if markers else None,
+        markers=read_markers(folder, markers, fps=fps, frames=frames, release=release, start=start)
+        if markers
+        else None,
         views=views_inside(folder, views) if views else None,
+        start=start,
     )
+
+
+def _read_start(entry: Entry | None, release: int | None) -> str | None:
+    if entry is None:
+        return None
+    start = entry.text()
+    if start not in STARTS:
+        raise entry.wrong(" or ".join(f'"{choice}"' for choice in STARTS))
+    if start == "measured" and release is not None:
+        raise entry.fault('is "measured" beside a release', "no release: until then all points are at rest")
+    return start
 
 
 def _read_range(entry: Entry | None, frames: int) -> tuple[int, int]:

@@ -59,7 +59,9 @@ def resting_position(position: np.ndarray, release: int | None) -> np.ndarray:
     return median
 
 
-def read_markers(folder: Path, entry: Entry, *, fps: float, frames: int, release: int | None) -> Markers:
+def read_markers(
+    folder: Path, entry: Entry, *, fps: float, frames: int, release: int | None, start: str | None = None
+) -> Markers:
     """The markers that `markers` describes; its `names` choose among the points of a .c3d."""
     entry.check_keys(required=("file", "at", "sigma"), optional=("names",))
     at = entry["at"].array((None, 3))
@@ -75,6 +77,9 @@ def read_markers(folder: Path, entry: Entry, *, fps: float, frames: int, release
             raise fault(f"{path}: position", f"has {len(position)} frames", f"{frames}, as the sequence")
         _check_count(path, position, at)
     elif suffix == ".c3d":
+        if start == "measured":
+            what = f"{path.name} is told in the object frame by its rest, which the sequence does not show"
+            raise entry["file"].fault(what, 'an .npz in the object frame beside "start": "measured"')
         position, labels = read_c3d(path, fps=fps, frames=frames)
         if names:
             position = position[:, _columns(entry["names"], names, labels)]

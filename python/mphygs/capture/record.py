@@ -31,7 +31,9 @@ class Sequence:
 
     fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
     rest until this frame; views: the folder of the measured video; turn: (3, 3) rotation from the frame that
-    the sequence is told in to the one that gravity is told in, None where they are one.
+    the sequence is told in to the one that gravity is told in, None where they are one; start: "rest" where
+    the object rests in frame 0, "measured" where it is away from rest or moves then, None: as the first
+    frames show.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Sequence:
     markers: Markers | None = None
     views: Path | None = None
     turn: np.ndarray | None = None
+    start: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

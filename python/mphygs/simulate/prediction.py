@@ -185,9 +185,13 @@ class Predictor:
         """(F, N, 3) known loads on the carriers, each spread over the material in its box [N]."""
         out = np.zeros((len(timeline.moving), len(self.transfer.places_at_rest()), 3))
         for load in self.recording.loads:
-            # Of the interval in which it starts it has the impulse.
-            since = timeline.times - load.start_frame / self.recording.fps
-            acting = np.clip(since / timeline.spans, 0.0, 1.0)[:, None, None]
+            # Of the interval in which it starts or ends it has the impulse.
+            edges = [load.start_frame, np.inf if load.end_frame is None else load.end_frame]
+            since = [
+                np.clip((timeline.times - edge / self.recording.fps) / timeline.spans, 0.0, 1.0)
+                for edge in edges
+            ]
+            acting = (since[0] - since[1])[:, None, None]
             out += acting * self.transfer.load_share(load)[:, None] * np.asarray(load.force, float)
         return out
 
