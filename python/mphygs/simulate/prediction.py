@@ -21,6 +21,7 @@ from mphygs.simulate.errors import Halted
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.fields import core_effects, direction, places, primal
 from mphygs.simulate.material_points import MaterialPoints
+from mphygs.simulate.measured_start import MeasuredStart, start_numbers, start_sequence
 from mphygs.simulate.measurement import measured
 from mphygs.simulate.particle_body import discretise_particles
 from mphygs.simulate.prestress import RestShape
@@ -80,6 +81,7 @@ class Predictor:
         self._pull: Feedback | None = None
         self._pulls: dict[float, Feedback] = {}
         self._halt: Event | None = None
+        self._start = MeasuredStart(capture, recording, self.transfer)
 
     def twin(self, workers: int, halt: Event | None = None) -> Predictor:
         """The same predictor, for another thread: of the same body, with models of its own.
@@ -146,13 +148,14 @@ class Predictor:
 
     def timeline(self, belief: Belief, last: int, substep: float, start: Start | None = None) -> Timeline:
         """Frames 0..last-1, or from the start's on, and the substeps between them."""
+        measured_start = start_numbers(belief, self.recording.name) is not None
         return timeline_of(
             self.recording,
             last,
             substep,
             release_shift=self.release_shift(belief),
-            late=belief["time_offset.offset"].value if "time_offset" in belief.effects else 0.0,
-            first=None if start is None else start.frame,
+            late=_late(belief),
+            first=start.frame if start is not None else 0 if measured_start else None,
         )
 
     # ---- fields -------------------------------------------------------------------------------
@@ -166,6 +169,7 @@ class Predictor:
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if belief.prestress == "equilibrium":
             fields |= self.transfer.prestressed(belief)
+        start = start or self._start.at(belief, _late(belief))
         return fields if start is None else self.transfer.begun(fields, start)
 
     def _imposed(self, belief: Belief, timeline: Timeline) -> dict[str, np.ndarray]:
@@ -208,7 +212,9 @@ class Predictor:
         here = self.recording.name
         changes = [
             direction(owner, self.body, parameter)
-            if acts_in_simulation(parameter) and not is_absent(owner, parameter, here)
+            if acts_in_simulation(parameter)
+            and start_sequence(parameter) is None
+            and not is_absent(owner, parameter, here)
             else {}
             for owner, parameter in owned
         ]
@@ -230,7 +236,16 @@ class Predictor:
                 for i, slope in zip(indices, slopes, strict=True):
                     changes[i] |= slope
             self.rest_shape.solve(belief)
-        return changes if start is None else [self.transfer.begun_change(c, start) for c in changes]
+        state = start or self._start.at(belief, _late(belief))
+        if state is not None:
+            changes = [self.transfer.begun_change(c, state) for c in changes]
+        own = [i for i, (_, parameter) in enumerate(owned) if start_sequence(parameter) == here]
+        if own and start is None:
+            rest = self.transfer.prestressed(belief) if belief.prestress == "equilibrium" else {}
+            slopes = self._start.slopes(belief, [owned[i][1] for i in own], _late(belief))
+            for i, slope in zip(own, slopes, strict=True):
+                changes[i] = self.transfer.begun_slope(rest, slope)
+        return changes
 
     def _hook(
         self,
@@ -281,7 +296,10 @@ class Predictor:
         slots = [
             k
             for k, (_, parameter) in enumerate(wanted)
-            if acts_in_simulation(parameter) or feedback is not None and moves_targets(parameter)
+            if acts_in_simulation(parameter)
+            and start_sequence(parameter) in (None, self.recording.name)
+            or feedback is not None
+            and moves_targets(parameter)
         ]
         moving = [wanted[k] for k in slots]
         states, tangents = self._runs(belief, moving, timeline, start, progress, feedback)
@@ -289,9 +307,14 @@ class Predictor:
         jacobian = np.zeros((*position.shape, len(wanted)))
         for slot, tangent in zip(slots, tangents, strict=True):
             jacobian[..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
-        for slot, (_, parameter) in enumerate(wanted):
+        begins = start is None and start_numbers(belief, self.recording.name) is not None
+        for slot, (owner, parameter) in enumerate(wanted):
             if parameter.key == f"{self.recording.name}.release_shift" and start is None:
-                jacobian[..., slot] = self._release_slope(belief, parameter, last, dt, position, feedback)
+                jacobian[..., slot] = self._start_slope(belief, parameter, last, dt, position, feedback)
+            if parameter.key == "time_offset.offset" and begins:
+                # What frame 0 shows is the start whenever it was taken: a late clock moves holds and loads.
+                slope = self._start_slope(owner, parameter, last, dt, position, feedback)
+                jacobian[..., slot] = slope - velocity * parameter.slope
         times = timeline.frames / self.recording.fps
         position, velocity, jacobian = measured(belief, wanted, times, position, velocity, jacobian)
         names = tuple(p.key for _, p in wanted)
@@ -350,7 +373,7 @@ class Predictor:
         b = b - np.trace(b, axis1=-2, axis2=-1)[..., None, None] / 3.0 * np.eye(3)
         return mu * np.sqrt(1.5 * (b * b).sum((-2, -1)))
 
-    def _release_slope(
+    def _start_slope(
         self,
         belief: Belief,
         parameter: Parameter,
@@ -359,7 +382,7 @@ class Predictor:
         position: np.ndarray,
         feedback: Feedback | None,
     ) -> np.ndarray:
-        """By a difference: the release moves the schedule's start, which the core does not differentiate."""
+        """By a difference: it moves the schedule's start, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
         if parameter.value + step > parameter.upper:
             step = -step
@@ -431,6 +454,11 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
+
+
+def _late(belief: Belief) -> float:
+    """How much later than stated a belief has every frame [s]."""
+    return belief["time_offset.offset"].value if "time_offset" in belief.effects else 0.0
 
 
 def moves_targets(parameter: Parameter) -> bool:
