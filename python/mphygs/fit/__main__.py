@@ -184,9 +184,10 @@ def _answer(
     predictors = {name: experiment.predictor(name, spacing) for name in state.ranges}
     substep = {name: p.stable_substep(state.belief) for name, p in predictors.items()}
     problem = experiment.problem(spacing)
-    pictures = {} if state.stages is None else {"stages": kept_seconds(state.stages)}
-    starts = starts_document(experiment.capture, state.belief)
-    return pictures | ({"starts": starts} if starts else {}) | {
+    more = {} if state.stages is None else {"stages": kept_seconds(state.stages)}
+    if starts := starts_document(experiment.capture, state.belief):
+        more["starts"] = starts
+    return more | {
         "run": str(state.folder),
         "parameters": parameters_of(state, found),
         "seconds": sum(stage.seconds for stage in state.history),
