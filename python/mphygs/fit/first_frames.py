@@ -20,6 +20,8 @@ from mphygs.simulate.start_shapes import HeldAt, StartOnGrid, StartShapes, start
 FRAMES = 5
 # Chance of taking a motion that begins at rest for one that does not, by its places and by its speeds.
 LEVEL = 1e-4
+# So many standard errors of a marker, root mean square: what is less is not worth numbers of its own.
+SIZE = 2.0
 # Steps of Gauss and Newton from the linear shapes to the bent ones.
 STEPS = 6
 
@@ -119,26 +121,36 @@ def first_state(capture: Capture, recording: Recording) -> FirstState | None:
     Away from rest: by shapes of the body, beyond the scatter of markers that stand elsewhere than stated; or
     by anything that is hardly there in a later frame, as what a marker's place is wrong by would be. A wrong
     scale of the lengths is neither. Moving: a motion from rest is even in time as long as nothing brakes it,
-    an odd part is a speed that it began with; frames too far apart for a polynomial show none.
+    an odd part is a speed that it began with; frames too far apart for a quartic show none.
     """
     if recording.markers is None or recording.frames <= FRAMES:
         return None
     first = _Markers(capture, recording)
     if not len(first.rest):
         return None
-    time = np.arange(FRAMES) / recording.fps
-    even = np.stack([np.ones_like(time), time, time**2, time**4], axis=1)
-    value, size = _read_off(even, first.displaced[:FRAMES])
+    frame = np.arange(float(FRAMES))[:, None]
+    even = frame ** [0, 1, 2, 4, 6]
     sigma = np.repeat(first.sigma, 3)
     columns, scale = first.columns / sigma[:, None], first.rest.ravel() / sigma
-    tests = [_Nested.of(value[k].ravel() / (size[k] * sigma), columns, scale) for k in (0, 1)]
+    # What one marker alone says, the farthest, may be that it does not follow the body.
+    kept = np.ones(len(sigma), bool)
+    if len(first.rest) > 2:
+        farthest = int(np.argmax(np.linalg.norm(first.displaced[0], axis=1)))
+        kept[3 * farthest : 3 * farthest + 3] = False
+    tests = []
+    for k, functions in enumerate((even[:, :4], even)):
+        value, size = _read_off(functions, first.displaced[:FRAMES])
+        vector = value[k].ravel() / (size[k] * sigma)
+        tests.append(_Nested.of(vector[kept], columns[kept], scale[kept]))
     count = max(1, int(np.argmin(sum(test.price for test in tests))))
-    cubic, _ = _read_off(time[:, None] ** np.arange(4), first.displaced[:FRAMES])
-    amplitude, speed = first.bent(count, cubic[0], cubic[1])
-    resolved = first.displaced[:FRAMES] - np.einsum("fk,kmc->fmc", even, value)
-    resolved = float(np.sum((resolved / first.sigma[:, None]) ** 2)) < chi2.isf(LEVEL, first.rest.size)
+    cubic, _ = _read_off(frame ** np.arange(4), first.displaced[:FRAMES])
+    amplitude, speed = first.bent(count, cubic[0], cubic[1] * recording.fps)
+    beyond = np.linalg.qr(even[:, :4], mode="complete")[0][:, 4]
+    left = np.einsum("f,fmc->mc", beyond, first.displaced[:FRAMES]).ravel() / sigma
+    shaped = np.linalg.qr(columns[:, :count])[0].T @ left
+    resolved = shaped @ shaped < chi2.isf(LEVEL, count)
     off = tests[0].significant(count) or first.returns()
-    known = (off, resolved and tests[1].significant(count))
+    at_rest = not off and not (resolved and tests[1].significant(count))
     moved = [first.columns[:, :count] @ a / sigma for a in (amplitude, speed / recording.fps)]
     away, moving = (float(np.sqrt(np.mean(m**2))) for m in moved)
     gone = np.linalg.norm(np.diff(first.displaced, axis=0), axis=2) * recording.fps
@@ -147,14 +159,14 @@ def first_state(capture: Capture, recording: Recording) -> FirstState | None:
         speed,
         away,
         moving,
-        not any(sure and size > 1.0 for sure, size in zip(known, (away, moving), strict=True)),
+        at_rest,
         float(np.nanmax(np.linalg.norm(first.displaced, axis=2))),
         float(np.nanmax(gone)),
     )
 
 
 def _read_off(powers: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (4, M, 3) of functions of time (F, 4) in tracks (F, M, 3), and the standard deviation (4,)
+    """Coefficients (K, M, 3) of functions of time (F, K) in tracks (F, M, 3), and the standard deviation (K,)
     of each for noise of one."""
     inverse = np.linalg.pinv(powers)
     return np.einsum("kf,fmc->kmc", inverse, first), np.linalg.norm(inverse, axis=1)
@@ -163,7 +175,8 @@ def _read_off(powers: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.nda
 @dataclass(frozen=True, eq=False)
 class _Nested:
     """Regressions of one vector on the 0 to K slowest shapes: left, (K + 1,) sums of squares; price: (K + 1,)
-    twice the negative logarithm of the likelihood, with what BIC asks for each shape."""
+    twice the negative logarithm of the likelihood, and two for each shape: one left out bends materials, one
+    too many costs time."""
 
     left: np.ndarray
     price: np.ndarray
@@ -177,14 +190,15 @@ class _Nested:
         basis = np.linalg.qr(np.concatenate([scale[:, None], columns[:, :most]], axis=1))[0]
         left = vector @ vector - np.cumsum((basis.T @ vector) ** 2)
         variance = np.maximum(left / size, 1.0)
-        price = size * np.log(variance) + left / variance + np.arange(most + 1) * np.log(size)
+        price = size * np.log(variance) + left / variance + 2.0 * np.arange(most + 1)
         return cls(left, price, size)
 
     def significant(self, count: int) -> bool:
-        """Whether `count` shapes take away more than noise and scatter let them."""
+        """Whether `count` shapes take away more than noise and scatter let them, and more than SIZE."""
         rest = self.size - count - 1
         ratio = (self.left[0] - self.left[count]) / count / max(self.left[count] / rest, 1.0)
-        return bool(fisher.sf(ratio, count, rest) < LEVEL)
+        large = self.left[0] - self.left[count] > SIZE**2 * self.size
+        return bool(large and fisher.sf(ratio, count, rest) < LEVEL)
 
 
 class _Markers:
