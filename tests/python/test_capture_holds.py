@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture_example import FRAMES, Example
+from capture_example import FRAMES, NAMES, Example, write_c3d
+from mphygs.capture.format import load_capture, save_capture
 from mphygs.capture.holds import Hold
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_rotation_vector
 
@@ -84,6 +85,30 @@ def test_example_hold_and_load_are_read(tmp_path: Path) -> None:
     assert np.array_equal(load.box, [[0.09, -1, -1], [1, 1, 1]])
 
 
+def test_a_load_that_ends_and_a_stated_start_are_read_and_written(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    example.sequence["loads"][0]["until"] = FRAMES
+    del example.sequence["release"]
+    for start in ("measured", "rest"):
+        example.sequence["start"] = start
+        save_capture(example.load(), tmp_path / start)
+        again = load_capture(tmp_path / start)
+        assert [s.start for s in again.sequences] == [start, None]
+        assert again.sequence("a").loads[0].end_frame == FRAMES
+
+
+def test_bad_starts(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    example.sequence["start"] = "moving"
+    assert 'sequences[0].start: is "moving"; expected "rest" or "measured"' in example.complaint()
+    example.sequence["start"] = "measured"
+    assert 'sequences[0].start: is "measured" beside a release; expected no release' in example.complaint()
+    del example.sequence["release"]
+    write_c3d(tmp_path / "m.c3d", example.tracks, labels=NAMES)
+    example.sequence["markers"]["file"] = "m.c3d"
+    assert "m.c3d is told in the object frame by its rest, which the sequence does not" in example.complaint()
+
+
 def test_nearly_unit_quaternions_are_normalised(tmp_path: Path) -> None:
     example = Example(tmp_path)
     motion = example.motion | {"quaternion": example.motion["quaternion"] * 1.0005}
@@ -147,6 +172,9 @@ def test_motion_without_quaternions(tmp_path: Path) -> None:
         ("loads", {"from": -1}, "loads[0].from: is -1"),
         ("loads", {"from": 1.5}, "loads[0].from: is 1.5; expected an integer"),
         ("loads", {"start": 1}, "loads[0].start: unknown key"),
+        ("loads", {"until": 3}, 'loads[0].until: is 3; expected a frame after "from", 4 to 12'),
+        ("loads", {"until": 13}, "loads[0].until: is 13"),
+        ("loads", {"until": 5.5}, "loads[0].until: is 5.5; expected an integer"),
     ],
 )
 def test_bad_entries(tmp_path: Path, key: str, change: dict[str, object], message: str) -> None:

@@ -110,6 +110,20 @@ def test_energy_of_the_undamped_swing_does_not_drift() -> None:
     assert abs(total[-10:].mean() - total[1:11].mean()) < 1e-3
 
 
+def test_a_load_that_ends_has_given_its_impulse_and_no_more() -> None:
+    force = np.array([0.003, 0.0, 0.006])
+    everything = np.array([[-1.0, -1, -1], [1, 1, 1]])
+    capture = bar_capture(
+        held=None, gravity=np.zeros(3), frames=9, fps=50.0, loads=(Load(everything, force, 2, 6),)
+    )
+    belief = bar_belief(capture, youngs_modulus=2e4)
+    mass = 1000.0 * capture.parts[0].volume
+    speed = predictor(capture).predict(belief, substep=1e-3).velocity.mean(1)
+    times = np.clip(np.arange(9) - 2, 0, 4) / 50.0
+    # Spread evenly over the body, it moves all points alike.
+    np.testing.assert_allclose(speed, times[:, None] * force / mass, atol=1e-5 * np.abs(speed).max())
+
+
 TURNS = {
     "axes change places": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
     "quarter turn": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),

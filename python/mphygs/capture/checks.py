@@ -217,6 +217,9 @@ def _check_markers(where: str, capture: Capture, sequence: Sequence, markers: Ma
             carried.append(markers.at @ rotation[0].T + position[0])
     rest = markers.at_rest(sequence.release)
     away = np.min([np.linalg.norm(rest - at, axis=1) for at in carried], axis=0)
+    if sequence.start == "measured":
+        # It may be turned over about where it is held, and no more.
+        size *= 4.0
     seen = np.isfinite(away)
     if not seen.any():
         return

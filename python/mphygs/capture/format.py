@@ -12,7 +12,7 @@ from mphygs.capture.holds import Hold, Load, read_hold, read_load
 from mphygs.capture.markers import Markers, read_markers
 from mphygs.capture.meshes import Part, read_part
 from mphygs.capture.record import Capture, Known, Sequence
-from mphygs.capture.save import FORMAT, RESTS, save_capture
+from mphygs.capture.save import FORMAT, RESTS, STARTS, save_capture
 
 __all__ = [
     "Capture",
@@ -139,7 +139,7 @@ def _read_per_part(
 def _read_sequence(folder: Path, entry: Entry) -> Sequence:
     entry.check_keys(
         required=("name", "fps", "frames"),
-        optional=("fit", "predict", "held", "loads", "release", "markers", "views", "first_frame"),
+        optional=("fit", "predict", "held", "loads", "release", "start", "markers", "views", "first_frame"),
     )
     name = entry["name"].name()
     fps = entry["fps"].within(*FPS, "frames per second")
@@ -156,6 +156,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         first = given.integer()
         if not 0 <= first <= MOST_FRAMES:
             raise given.wrong(f"a frame of the file, 0 to {MOST_FRAMES}")
+    start = _read_start(entry.get("start"), release)
     held, loads, markers, views = (entry.get(key) for key in ("held", "loads", "markers", "views"))
     return Sequence(
         name=name,
@@ -166,12 +167,26 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         held=tuple(read_hold(folder, item, frames) for item in held.elements()) if held else (),
         loads=tuple(read_load(item, frames) for item in loads.elements()) if loads else (),
         release=release,
-        markers=read_markers(folder, markers, fps=fps, frames=frames, release=release, first=first)
+        markers=read_markers(
+            folder, markers, fps=fps, frames=frames, release=release, first=first, start=start
+        )
         if markers
         else None,
         views=views_inside(folder, views) if views else None,
         first_frame=first,
+        start=start,
     )
+
+
+def _read_start(entry: Entry | None, release: int | None) -> str | None:
+    if entry is None:
+        return None
+    start = entry.text()
+    if start not in STARTS:
+        raise entry.wrong(" or ".join(f'"{choice}"' for choice in STARTS))
+    if start == "measured" and release is not None:
+        raise entry.fault('is "measured" beside a release', "no release: until then all points are at rest")
+    return start
 
 
 def _read_range(entry: Entry | None, frames: int) -> tuple[int, int]:

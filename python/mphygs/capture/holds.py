@@ -60,12 +60,14 @@ class Hold:
 class Load:
     """A known external force on the material points in `box`, from frame `start_frame` on.
 
-    box: (2, 3) [m]; force: (3,) [N], shared by all the points together.
+    box: (2, 3) [m]; force: (3,) [N], shared by all the points together; end_frame: at which it is let go,
+    None where it never is.
     """
 
     box: np.ndarray
     force: np.ndarray
     start_frame: int
+    end_frame: int | None = None
 
 
 def read_box(entry: Entry) -> np.ndarray:
@@ -116,9 +118,12 @@ def read_hold(folder: Path, entry: Entry, frames: int) -> Hold:
 
 def read_load(entry: Entry, frames: int) -> Load:
     """The load that an element of `loads` describes."""
-    entry.check_keys(required=("box", "force", "from"))
-    start = entry["from"].integer()
+    entry.check_keys(required=("box", "force", "from"), optional=("until",))
+    start, end = entry["from"].integer(), None
     if not 0 <= start < frames:
         raise entry["from"].wrong(f"a frame of the sequence, 0 to {frames - 1}")
-    force = entry["force"].array((3,), most=_STRONGEST)
-    return Load(box=read_box(entry["box"]), force=force, start_frame=start)
+    if given := entry.get("until"):
+        end = given.integer()
+        if not start < end <= frames:
+            raise given.wrong(f'a frame after "from", {start + 1} to {frames}')
+    return Load(read_box(entry["box"]), entry["force"].array((3,), most=_STRONGEST), start, end)

@@ -74,11 +74,18 @@ def resting_position(position: np.ndarray, release: int | None) -> np.ndarray:
 
 
 def read_markers(
-    folder: Path, entry: Entry, *, fps: float, frames: int, release: int | None, first: int | None = None
+    folder: Path,
+    entry: Entry,
+    *,
+    fps: float,
+    frames: int,
+    release: int | None,
+    first: int | None = None,
+    start: str | None = None,
 ) -> Markers:
     """The markers that `markers` describes; its `names` choose among the points of a .c3d.
 
-    first: the file's frame that is frame 0, None for the file's first one.
+    first: the file's frame that is frame 0, None for the file's first one; start: as the sequence states it.
     """
     entry.check_keys(required=("file", "at", "sigma"), optional=("names", "zero_is_missing"))
     at = entry["at"].array((None, 3), most=FARTHEST)
@@ -94,6 +101,9 @@ def read_markers(
             position = _from_frame(path, position, first, frames)
         position, gaps = _without_zeros(position, at, sigma, entry.get("zero_is_missing"))
     elif suffix == ".c3d":
+        if start == "measured":
+            what = f"{path.name} is told in the object frame by its rest, which the sequence does not show"
+            raise entry["file"].fault(what, 'an .npz in the object frame beside "start": "measured"')
         position, labels = read_c3d(path, fps=fps, frames=frames, first=first or 0)
         if names:
             position = position[:, _columns(entry["names"], names, labels)]

@@ -32,7 +32,9 @@ class Sequence:
     fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
     rest until this frame; views: the folder of the measured video; first_frame: of the files' frames, the one
     that is frame 0, None where it is the first and they are no longer; turn: (3, 3) rotation from the frame
-    that the sequence is told in to the one that gravity is told in, None where they are one.
+    that the sequence is told in to the one that gravity is told in, None where they are one; start: "rest"
+    where the object rests in frame 0, "measured" where it is away from rest or moves then, None: as the first
+    frames show.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Sequence:
     views: Path | None = None
     first_frame: int | None = None
     turn: np.ndarray | None = None
+    start: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from mphygs.capture.written import replace_arrays, replace_file
 
 FORMAT = "mphygs-capture/1"
 RESTS = ("stress-free", "equilibrium")
+STARTS = ("rest", "measured")
 
 
 def save_capture(capture: Capture, folder: str | Path) -> None:
@@ -75,8 +76,11 @@ def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
     if sequence.loads:
         document["loads"] = [
             {"box": load.box.tolist(), "force": load.force.tolist(), "from": load.start_frame}
+            | ({} if load.end_frame is None else {"until": load.end_frame})
             for load in sequence.loads
         ]
+    if sequence.start is not None:
+        document["start"] = sequence.start
     if sequence.release is not None:
         document["release"] = sequence.release
     if sequence.markers is not None:

@@ -18,6 +18,7 @@ from mphygs.command import Answer, CommonOptions, Console, OptionError, check_ga
 from mphygs.compare.image_errors import image_table, joined
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.first_frames import starts_document, starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.of_run import capture_of, errors_of, feedback_document, pictured_of
 from mphygs.fit.paper_plan import check_windows
@@ -197,8 +198,10 @@ def _answer(
     predictors = {name: experiment.predictor(name, spacing) for name in state.ranges}
     substep = {name: p.stable_substep(state.belief) for name, p in predictors.items()}
     problem = experiment.problem(spacing)
-    pictures = {} if state.stages is None else {"stages": kept_seconds(state.stages)}
-    return pictures | {
+    more = {} if state.stages is None else {"stages": kept_seconds(state.stages)}
+    if starts := starts_document(experiment.capture, state.belief):
+        more["starts"] = starts
+    return more | {
         "run": str(state.folder),
         "parameters": parameters_of(state, found),
         "seconds": sum(stage.seconds for stage in state.history),
@@ -309,6 +312,8 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         belief = pictured_belief(
             belief, stages, without=names(options.without), homogeneous=options.homogeneous
         )
+    for line in starts_text(capture, belief):
+        console.say(line)
     experiment = chosen_ranges(capture, settings, wanted, options.frames)
     belief = experiment.starting(belief)
     for name in names(options.effects):

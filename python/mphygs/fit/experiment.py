@@ -14,21 +14,22 @@ from mphygs.compare.noise import Observation, observe
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
+from mphygs.simulate.measured_start import of_sequence
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
 
 # Refinement that shows the discretisation's share; the error falls with the square of the spacing.
 REFINEMENT = 1.5
+# Frames from which release or start of a sequence that was not fitted are found.
+OWN_FRAMES = 40
 
 
-def _drop_shifts(belief: Belief, keep: Sequence[str]) -> Belief:
-    """Only the fitted sequences' release is a free parameter."""
+def _drop_starts(belief: Belief, keep: Sequence[str]) -> Belief:
+    """Only the fitted sequences' release and start are free parameters."""
     return replace(
         belief,
         parameters=tuple(
-            replace(p, free=p.free and p.key.removesuffix(".release_shift") in keep)
-            if p.key.endswith(".release_shift")
-            else p
+            p if of_sequence(p) is None else replace(p, free=p.free and of_sequence(p) in keep)
             for p in belief.parameters
         ),
     )
@@ -82,7 +83,7 @@ class Experiment:
 
     def starting(self, belief: Belief) -> Belief:
         """A belief whose free parameters are those that the fitted sequences can tell."""
-        return _drop_shifts(belief, list(self.fitted))
+        return _drop_starts(belief, list(self.fitted))
 
     def problem(self, spacing: float) -> Problem:
         """The fit at one spacing."""
@@ -161,29 +162,32 @@ class Experiment:
         return (min(a for a, _ in used), max(b for _, b in used))
 
     def with_release(self, belief: Belief, name: str, spacing: float) -> Belief:
-        """The belief with the release of a sequence that was not fitted found from its own frames."""
-        key = f"{name}.release_shift"
-        if name in self.fitted or key not in belief:
+        """The belief with the release, or the measured start, of a sequence that was not fitted found from
+        its own first frames."""
+        own = [p.key for p in belief.parameters if of_sequence(p) == name]
+        if name in self.fitted or not own:
             return belief
         first, last = self.unseen(name)
         if last <= first:
             first, last = 0, self.capture.sequence(name).frames
         problem = self.problem(spacing)
         self.predictor(name, spacing)
-        own = Problem(
+        window = Problem(
             self.capture,
             problem.settings,
-            {name: (first, min(last, first + 40))},
+            {name: (first, min(last, first + OWN_FRAMES))},
             self.observations,
             problem.predictors,
         )
         alone = replace(
             belief,
             known_mass=None,
-            parameters=tuple(replace(p, free=p.key == key) for p in belief.parameters),
+            parameters=tuple(replace(p, free=p.key in own) for p in belief.parameters),
         )
-        value = minimise(own, alone, iterations=8).belief[key].value
-        return belief.with_parameter(key, value=value)
+        found = minimise(window, alone, iterations=8).belief
+        for key in own:
+            belief = belief.with_parameter(key, value=found[key].value)
+        return belief
 
     def compare(
         self,

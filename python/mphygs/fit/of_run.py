@@ -19,6 +19,7 @@ from mphygs.fit.run import DOCUMENT, Run, digest_of
 from mphygs.fit.schedule import check_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
+from mphygs.simulate.measured_start import of_sequence
 
 if TYPE_CHECKING:
     from mphygs.fit.pictured import Pictured
@@ -58,7 +59,8 @@ def experiment_of(
 ) -> tuple[Experiment, Belief]:
     """Simulators of a run's capture, or of another of the same object, and the belief for them.
 
-    Nothing of another capture counts as fitted; its releases enter the belief as they are stated.
+    Nothing of another capture counts as fitted; its releases and starts enter the belief as stated or
+    measured.
     Raises ValueError where the other capture has other parts, CaptureError where one cannot be read.
     """
     settings = run.settings if workers is None else replace(run.settings, workers=workers)
@@ -79,8 +81,8 @@ def experiment_of(
         raise ValueError(
             f"{other}: has the parts {', '.join(parts) or 'none'}; expected those of {run.folder}: {expected}"
         )
-    fresh = [p for p in starting_belief(capture).parameters if p.key.endswith(".release_shift")]
-    kept = [p for p in run.belief.parameters if not p.key.endswith(".release_shift")]
+    fresh = [p for p in starting_belief(capture).parameters if of_sequence(p) is not None]
+    kept = [p for p in run.belief.parameters if of_sequence(p) is None]
     belief = replace(run.belief, parameters=(*kept, *(replace(p, free=False) for p in fresh)))
     # The other capture's measured fields hold: gravity may be stated in another frame.
     return Experiment(capture, settings, {}), replace(belief, gravity=capture.gravity)

@@ -49,11 +49,13 @@ def weights_of_loads(capture: Capture, sequences: Sequence[str]) -> list[tuple[L
     """The known loads of the sequences, alike ones once, each with the settings of its point mass.
 
     A load that is a weight has a mass as well: it brings inertia in the sequences that have the load; its
-    weight is the load, and is not added again.
+    weight is the load, and is not added again. One that ends is no weight: it would have to come off.
     """
     found: dict[bytes, tuple[Load, dict[str, object]]] = {}
     for name in sequences:
         for load in capture.sequence(name).loads:
+            if load.end_frame is not None:
+                continue
             key = np.asarray(load.box, float).tobytes() + np.asarray(load.force, float).tobytes()
             if key not in found:
                 place = place_of_load(capture, load).tolist()

@@ -183,6 +183,10 @@ def digest_of(capture: Capture) -> str:
             add(np.asarray(hold.box), hold.position, hold.quaternion)
         for load in recording.loads:
             add(np.asarray(load.box), np.asarray(load.force), load.start_frame)
+            if load.end_frame is not None:
+                add(load.end_frame)
+        if recording.start is not None:
+            add(recording.start)
         if recording.markers is not None:
             add(recording.markers.at, recording.markers.position, recording.markers.sigma)
             if recording.markers.spread is not None:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from mphygs.capture.format import Capture
+from mphygs.fit.first_frames import start_parameters
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW, material_effects
 
@@ -25,10 +26,11 @@ RELEASE_FRAMES = 2.0
 def starting_belief(
     capture: Capture, *, effects: tuple[str, ...] = (), prestress: str | None = None, law: str = USUAL_LAW
 ) -> Belief:
-    """Materials of every part, free where the capture does not know them, and the named effects.
+    """Materials of every part, free where the capture does not know them, how motions begin that do not begin
+    at rest, and the named effects.
 
     prestress: off, paper or equilibrium; None takes equilibrium for a capture whose rest says so.
-    Raises ValueError for a capture without parts.
+    Raises ValueError for a capture without parts, or with a measured start that its markers do not show.
     """
     if not capture.parts:
         raise ValueError(f"capture '{capture.name}': expected parts given as meshes")
@@ -97,6 +99,7 @@ def starting_belief(
                     scale=frame,
                 )
             )
+        parameters += start_parameters(capture, recording)
     mode = prestress or ("equilibrium" if capture.rest == "equilibrium" else "off")
     belief = Belief(
         tuple(part.name for part in capture.parts),

@@ -124,6 +124,18 @@ class MaterialPoints(Transfer):
     ) -> list[dict[str, np.ndarray]]:
         return [self._from_grid(slope) for slope in self.rest_shape.tangent(owner, parameters, beside=beside)]
 
+    def from_grid(self, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        node, value, gradient = self._on_grid
+        near = field[node]
+        return np.einsum("pn,pnc->pc", value, near), np.einsum("pnj,pnc->pcj", gradient, near)
+
+    @cached_property
+    def _on_grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nodes of the grid that each particle is between, their weights and those of the gradient."""
+        grid, geometry = self.grid_body, self.body.geometry
+        model = _core.TotalLagrangianFloat64(grid.geometry, {"active": [], "law": "neo-hookean"})
+        return model.weights(geometry["points"], grid.nearest_cell(geometry["points"], geometry["part"]))
+
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         deformation = start.gradient + np.eye(3)
         if "deformation0" in fields:
@@ -138,6 +150,13 @@ class MaterialPoints(Transfer):
         if "deformation0" not in change:
             return change
         return change | {"deformation0": (start.gradient + np.eye(3)) @ change["deformation0"]}
+
+    def begun_slope(self, fields: dict[str, np.ndarray], slope: Start) -> dict[str, np.ndarray]:
+        return {
+            "displacement0": slope.displacement,
+            "velocity0": slope.velocity,
+            "deformation0": slope.gradient @ fields.get("deformation0", np.eye(3)),
+        }
 
     def simulate(
         self,

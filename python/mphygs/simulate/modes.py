@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import expm
@@ -17,9 +18,12 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from mphygs import _core
 from mphygs.model.belief import Belief
 from mphygs.simulate.fields import core_effects, places, primal
-from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.rows import held_rows
 from mphygs.simulate.user_effects import forces_of
+
+if TYPE_CHECKING:
+    from mphygs.simulate.body import Body
+    from mphygs.simulate.prediction import Predictor
 
 # Nodes this many cells apart share no cell: their columns of the stiffness are found together.
 APART = 5
@@ -27,6 +31,8 @@ APART = 5
 SHIFT = -100.0
 # Substep whose tangents give stiffness and damping [s].
 PROBE = 1e-5
+# Compliance of the rows of holds and joints, over that of the material.
+SOFT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,49 +70,83 @@ class Modes:
 def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
     """The lowest modes of a held body about its rest shape, fewer where it has not so many."""
     body = predictor.body
-    free = {k: v for k, v in body.geometry.items() if not k.startswith("row_") and k != "hold_count"}
     spots = places(belief)
-    if len(spots):
-        free |= {"places": spots, "place_cell": body.nearest_cell(spots)}
-    model = _core.TotalLagrangianFloat64(free, {"active": list(core_effects(belief)), "law": belief.law})
+    more = {"places": spots, "place_cell": body.nearest_cell(spots)} if len(spots) else {}
     fields = primal(belief, body)
     if belief.prestress == "equilibrium":
         solution = predictor.rest_shape.solve(belief)
         fields["deformation0"] = solution["deformation0"]
         fields["stress_volume"] = body.quadrature.volumes * solution["volume_ratio"].reshape(-1, 8)
-    mass = np.asarray(model.node_mass(fields), float)
-    mass = np.maximum(mass, 1e-9 * mass.mean())
-    still = np.zeros((len(mass), 3))
-    fields |= {"displacement0": still, "velocity0": still}
     hook = forces_of(belief, body, np.float64, fields["mass"])
+    free = _Unheld(body, fields, core_effects(belief), belief.law, more, hook)
+    shape, squared = _lowest(
+        free.stiffness(), np.repeat(free.mass, 3), held_rows(body, free.model.node_index), count
+    )
+    slowed = free.accelerations([{"velocity0": s} for s in np.moveaxis(shape, -1, 0)])
+    damping = -np.einsum("n,nci,jnc->ij", free.mass, shape, slowed)
+    return Modes(shape, squared, damping, free.mass)
 
-    def accelerations(directions: list[dict[str, np.ndarray]]) -> np.ndarray:
+
+def lowest_modes(
+    body: Body, fields: dict[str, np.ndarray], count: int, *, inertia: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shapes (N, 3, m) and squared frequencies (m,) [1/s^2] of the lowest modes of a held elastic body
+    without stress at rest.
+
+    fields: of the core, the material alone; inertia: (3,) factors on the mass by axis.
+    """
+    free = _Unheld(body, fields, (), "neo-hookean", {}, None)
+    weights = (free.mass[:, None] * inertia).ravel()
+    return _lowest(free.stiffness(), weights, held_rows(body, free.model.node_index), count)
+
+
+class _Unheld:
+    """A body let go of at rest: its mass (N,) [kg], and how its acceleration changes."""
+
+    def __init__(
+        self,
+        body: Body,
+        fields: dict[str, np.ndarray],
+        active: tuple[str, ...],
+        law: str,
+        more: dict[str, np.ndarray],
+        hook: object | None,
+    ) -> None:
+        """more: geometry beside the body's."""
+        free = {k: v for k, v in body.geometry.items() if not k.startswith("row_") and k != "hold_count"}
+        self.model = _core.TotalLagrangianFloat64(free | more, {"active": list(active), "law": law})
+        mass = np.asarray(self.model.node_mass(fields), float)
+        self.mass = np.maximum(mass, 1e-9 * mass.mean())
+        still = np.zeros((len(mass), 3))
+        self._fields = fields | {"displacement0": still, "velocity0": still}
+        self._hook = hook
+
+    def accelerations(self, directions: list[dict[str, np.ndarray]]) -> np.ndarray:
         """(K, N, 3) change of the acceleration in each direction."""
         one = {"steps": [1], "dt": [PROBE], "start": 0.0}
-        _, *found = model.tangent(fields, directions, one, None, hook)
+        _, *found = self.model.tangent(self._fields, directions, one, None, self._hook)
         return np.array([(run[1][1] - run[1][0]) / PROBE for run in found])
 
-    index = model.node_index
-    stiffness = _stiffness(accelerations, mass, index)
-    shape, squared = _lowest(stiffness, mass, held_rows(body, index), count)
-    slowed = accelerations([{"velocity0": s} for s in np.moveaxis(shape, -1, 0)])
-    damping = -np.einsum("n,nci,jnc->ij", mass, shape, slowed)
-    return Modes(shape, squared, damping, mass)
+    def stiffness(self) -> csc_matrix:
+        """See `_stiffness`."""
+        return _stiffness(self.accelerations, self.mass, self.model.node_index)
 
 
 def _lowest(
-    stiffness: csc_matrix, mass: np.ndarray, held: csc_matrix, count: int
+    stiffness: csc_matrix, weights: np.ndarray, held: csc_matrix, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shapes (N, 3, m) and squared frequencies of the lowest modes with `held` (R, N) u = 0."""
-    weights = np.repeat(mass, 3)
+    """Shapes (N, 3, m) and squared frequencies of the lowest modes with `held` (R, N) u = 0. weights: (3 N,)
+    inertia [kg]."""
     size = len(weights)
     count = min(count, size - 3 * held.shape[0] - 1)
     shifted = csc_matrix(stiffness - SHIFT * diags(weights))
     whole = shifted
     if held.shape[0]:
-        # Scaled like the stiffness, so that the factors are well conditioned.
-        rows = kron(held, identity(3)) * shifted.diagonal().mean()
-        whole = csc_matrix(bmat([[shifted, rows.T], [rows, None]]))
+        # Scaled like the stiffness, so that the factors are well conditioned; softened by next to nothing, so
+        # that rows which say the same twice do no harm.
+        scale = shifted.diagonal().mean()
+        rows = kron(held, identity(3)) * scale
+        whole = csc_matrix(bmat([[shifted, rows.T], [rows, -SOFT * scale * identity(rows.shape[0])]]))
     factors = splu(whole)
 
     def solve(right: np.ndarray) -> np.ndarray:
@@ -118,7 +158,7 @@ def _lowest(
         v0=solve(np.random.default_rng(0).standard_normal(size)),
     )  # fmt: skip
     order = np.argsort(squared)
-    return shape[:, order].reshape(len(mass), 3, count), squared[order]
+    return shape[:, order].reshape(-1, 3, count), squared[order]
 
 
 def _stiffness(

@@ -22,6 +22,7 @@ from mphygs.simulate.errors import Halted
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.fields import core_effects, direction, places, primal
 from mphygs.simulate.material_points import MaterialPoints
+from mphygs.simulate.measured_start import MeasuredStart, start_numbers, start_sequence
 from mphygs.simulate.measurement import lateness, measured
 from mphygs.simulate.particle_body import discretise_particles
 from mphygs.simulate.prestress import RestShape
@@ -81,6 +82,7 @@ class Predictor:
         self._pull: Feedback | None = None
         self._pulls: dict[float, Feedback] = {}
         self._halt: Event | None = None
+        self._start = MeasuredStart(capture, recording, self.transfer)
 
     def twin(self, workers: int, halt: Event | None = None) -> Predictor:
         """The same predictor, for another thread: of the same body, with models of its own.
@@ -144,13 +146,14 @@ class Predictor:
 
     def timeline(self, belief: Belief, last: int, substep: float, start: Start | None = None) -> Timeline:
         """Frames 0..last-1, or from the start's on, and the substeps between them."""
+        measured_start = start_numbers(belief, self.recording.name) is not None
         return timeline_of(
             self.recording,
             last,
             substep,
             release_shift=self.release_shift(belief),
             late=lateness(belief),
-            first=None if start is None else start.frame,
+            first=start.frame if start is not None else 0 if measured_start else None,
         )
 
     # ---- fields -------------------------------------------------------------------------------
@@ -164,6 +167,7 @@ class Predictor:
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if belief.prestress == "equilibrium":
             fields |= self.transfer.prestressed(belief)
+        start = start or self._start.at(belief, _late(belief))
         return fields if start is None else self.transfer.begun(fields, start)
 
     def _imposed(self, belief: Belief, timeline: Timeline) -> dict[str, np.ndarray]:
@@ -184,9 +188,13 @@ class Predictor:
         """(F, N, 3) known loads on the carriers, each spread over the material in its box [N]."""
         out = np.zeros((len(timeline.moving), len(self.transfer.places_at_rest()), 3))
         for load in self.recording.loads:
-            # Of the interval in which it starts it has the impulse.
-            since = timeline.times - load.start_frame / self.recording.fps
-            acting = np.clip(since / timeline.spans, 0.0, 1.0)[:, None, None]
+            # Of the interval in which it starts or ends it has the impulse.
+            edges = [load.start_frame, np.inf if load.end_frame is None else load.end_frame]
+            since = [
+                np.clip((timeline.times - edge / self.recording.fps) / timeline.spans, 0.0, 1.0)
+                for edge in edges
+            ]
+            acting = (since[0] - since[1])[:, None, None]
             out += acting * self.transfer.load_share(load)[:, None] * np.asarray(load.force, float)
         return out
 
@@ -203,7 +211,9 @@ class Predictor:
         here = self.recording.name
         changes = [
             direction(owner, self.body, parameter)
-            if acts_in_simulation(parameter) and not is_absent(owner, parameter, here)
+            if acts_in_simulation(parameter)
+            and start_sequence(parameter) is None
+            and not is_absent(owner, parameter, here)
             else {}
             for owner, parameter in owned
         ]
@@ -225,7 +235,16 @@ class Predictor:
                 for i, slope in zip(indices, slopes, strict=True):
                     changes[i] |= slope
             self.rest_shape.solve(belief)
-        return changes if start is None else [self.transfer.begun_change(c, start) for c in changes]
+        state = start or self._start.at(belief, _late(belief))
+        if state is not None:
+            changes = [self.transfer.begun_change(c, state) for c in changes]
+        own = [i for i, (_, parameter) in enumerate(owned) if start_sequence(parameter) == here]
+        if own and start is None:
+            rest = self.transfer.prestressed(belief) if belief.prestress == "equilibrium" else {}
+            slopes = self._start.slopes(belief, [owned[i][1] for i in own], _late(belief))
+            for i, slope in zip(own, slopes, strict=True):
+                changes[i] = self.transfer.begun_slope(rest, slope)
+        return changes
 
     def _hook(
         self,
@@ -276,7 +295,10 @@ class Predictor:
         slots = [
             k
             for k, (_, parameter) in enumerate(wanted)
-            if acts_in_simulation(parameter) or feedback is not None and moves_targets(parameter)
+            if acts_in_simulation(parameter)
+            and start_sequence(parameter) in (None, self.recording.name)
+            or feedback is not None
+            and moves_targets(parameter)
         ]
         moving = [wanted[k] for k in slots]
         states, tangents = self._runs(belief, moving, timeline, start, progress, feedback)
@@ -284,9 +306,14 @@ class Predictor:
         jacobian = np.zeros((*position.shape, len(wanted)))
         for slot, tangent in zip(slots, tangents, strict=True):
             jacobian[..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
-        for slot, (_, parameter) in enumerate(wanted):
+        begins = start is None and start_numbers(belief, self.recording.name) is not None
+        for slot, (owner, parameter) in enumerate(wanted):
             if parameter.key == f"{self.recording.name}.release_shift" and start is None:
-                jacobian[..., slot] = self._release_slope(belief, parameter, last, dt, position, feedback)
+                jacobian[..., slot] = self._start_slope(belief, parameter, last, dt, position, feedback)
+            if parameter.key == "time_offset.offset" and begins:
+                # What frame 0 shows is the start whenever it was taken: a late clock moves holds and loads.
+                slope = self._start_slope(owner, parameter, last, dt, position, feedback)
+                jacobian[..., slot] = slope - velocity * parameter.slope
         times = timeline.frames / self.recording.fps
         position, velocity, jacobian = measured(belief, wanted, times, position, velocity, jacobian)
         names = tuple(p.key for _, p in wanted)
@@ -344,7 +371,7 @@ class Predictor:
         b = b - np.trace(b, axis1=-2, axis2=-1)[..., None, None] / 3.0 * np.eye(3)
         return mu * np.sqrt(1.5 * (b * b).sum((-2, -1)))
 
-    def _release_slope(
+    def _start_slope(
         self,
         belief: Belief,
         parameter: Parameter,
@@ -353,7 +380,7 @@ class Predictor:
         position: np.ndarray,
         feedback: Feedback | None,
     ) -> np.ndarray:
-        """By a difference: the release moves the schedule's start, which the core does not differentiate."""
+        """By a difference: it moves the schedule's start, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
         if parameter.value + step > parameter.upper:
             step = -step
@@ -425,6 +452,11 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
+
+
+def _late(belief: Belief) -> float:
+    """How much later than stated a belief has every frame [s]."""
+    return belief["time_offset.offset"].value if "time_offset" in belief.effects else 0.0
 
 
 def moves_targets(parameter: Parameter) -> bool:

@@ -120,11 +120,17 @@ class TotalLagrangian(Transfer):
         velocity[used] += solve @ (speed - rows @ velocity)
         return replace(start, displacement=displacement, velocity=velocity)
 
+    def from_grid(self, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return field, np.zeros((*field.shape, 3))
+
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         return fields | {"displacement0": start.displacement, "velocity0": start.velocity}
 
     def begun_change(self, change: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         return change
+
+    def begun_slope(self, fields: dict[str, np.ndarray], slope: Start) -> dict[str, np.ndarray]:
+        return self.begun({}, slope)
 
     def simulate(
         self,

@@ -117,12 +117,21 @@ class Transfer(ABC):
         return start
 
     @abstractmethod
+    def from_grid(self, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A field (N', 3) on the nodes of `grid_body` as the carriers have it: (N, 3), and its gradient
+        (N, 3, 3) by the place at rest, which a transfer without use for it leaves at zero."""
+
+    @abstractmethod
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         """Fields of a run from the rest shape, turned into those of one that begins in mid-motion."""
 
     @abstractmethod
     def begun_change(self, change: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         """The same for a derivative of the fields; the given state does not change."""
+
+    @abstractmethod
+    def begun_slope(self, fields: dict[str, np.ndarray], slope: Start) -> dict[str, np.ndarray]:
+        """Derivative of the fields, those of a run from the rest shape, by a change of the given state."""
 
     @abstractmethod
     def simulate(

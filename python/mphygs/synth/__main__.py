@@ -51,6 +51,9 @@ class SynthOptions(CommonOptions):
     """Faults of the measurement, in the same way: time_offset:offset=0.01."""
     motion: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
     """Movements of the hold in the motion to fit: shake, rock, shift, turn; default: as suits the object."""
+    start: Literal["rest", "pulled", "moving"] = "rest"
+    """rest: the motion begins at rest; pulled: frame 0 is where the object, pulled aside, is let go; moving:
+    frame 0 is in the midst of a movement of the hold."""
     noise: Literal["white", "correlated", "jitter"] = "white"
     """White, or half its variance correlated in time, or half of it common to all markers of a frame."""
     sigma: float = 2e-4
@@ -118,7 +121,9 @@ def _recipe(options: SynthOptions) -> Recipe:
         hidden=hidden + faults,
         seed=options.seed,
         noise=Noise(options.noise, options.sigma, dropout=options.dropout),
-        takes=default_takes(shape(kind), frames=options.frames, kinds=names(options.motion)),
+        takes=default_takes(
+            shape(kind), frames=options.frames, kinds=names(options.motion), start=options.start
+        ),
         marker_count=options.markers,
         spacing_share=options.spacing_share,
         known=options.known,

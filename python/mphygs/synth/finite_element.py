@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from mphygs.capture.format import Capture
+from mphygs.capture.format import Capture, Load
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -80,6 +80,12 @@ class _Body:
         self.point_mass = (at_points * mesh.volume).ravel()
         self.held = self._in_hold(mesh.nodes)
         self.gravity = np.asarray(capture.gravity, float)
+        # Of each known load the forces on the nodes, and the times between which it acts [s].
+        self.loads = [
+            (self._spread(load), load.start_frame / recording.fps,
+             math.inf if load.end_frame is None else load.end_frame / recording.fps)
+            for load in recording.loads
+        ]  # fmt: skip
         self.causes = [
             (h, np.repeat(mesh.part == names.index(str(h.settings["part"])), 27) if "part" in h.settings
              else np.ones(27 * len(mesh.part), bool))
@@ -102,6 +108,13 @@ class _Body:
         """(M,) whether points [m] lie in the hold's box."""
         low, high = self.hold.box
         return np.all((points >= low - SAME) & (points <= high + SAME), axis=1)
+
+    def _spread(self, load: Load) -> np.ndarray:
+        """(N, 3) [N] of a known load, by the volume about the nodes in its box."""
+        mesh, (low, high) = self.mesh, load.box
+        within = np.all((mesh.nodes >= low - SAME) & (mesh.nodes <= high + SAME), axis=1)
+        share = (mesh.gather @ mesh.node_volume.ravel()) * within
+        return share[:, None] / share.sum() * load.force
 
     def _strain(self, mu: np.ndarray, lame: np.ndarray) -> None:
         """The strain in which loads at rest keep the published shape; mu, lame: (E, 27) [Pa]."""
@@ -249,6 +262,10 @@ class _Body:
         """(N, 3) [m/s^2]; driven: (H, 3) of the nodes in the hold."""
         x = self.mesh.nodes + u
         force = self._inside(u, v, time, dt) + self._outside(x, v, time, self.effects)
+        for pull, begin, end in self.loads:
+            # Of the step in which it starts or ends, by its middle.
+            if begin <= time + 0.5 * dt < end:
+                force = force + pull
         if "contact" in self.effects:
             force = force + self._friction(x, v, force, dt)
         result = force / self.mass[:, None]

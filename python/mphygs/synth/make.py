@@ -10,15 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from mphygs.capture.format import Capture, Hold, Known, Markers, save_capture
-from mphygs.capture.motions import hold_poses
+from mphygs.capture.format import Capture, Hold, Known, Load, Markers, save_capture
+from mphygs.capture.motions import hold_poses, ramp
 from mphygs.capture.record import Sequence as Recording
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.markers import measure, place_markers
 from mphygs.synth.recipe import Recipe, Take, truth_spacing
+from mphygs.synth.shapes import Shape
 from mphygs.synth.truth import Motion, simulate
+
+# Of the size of an object: how far about its tip it is pulled.
+TIP = 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +59,10 @@ def make_capture(
     recordings, differences, outliers, substeps = [], [], {}, []
     motions: dict[str, Motion] = {}
     for number, (take, recording) in enumerate(zip(recipe.takes, capture.sequences, strict=True)):
-        longer = _recording(recipe, take, places, extra=max(0, math.ceil(offset * take.fps)))
+        longer = _whole(recipe, take, places, extra=max(0, math.ceil(offset * take.fps)))
         text = f"{take.name}: {longer.frames} frames at {1e3 * spacing:.3g} mm"
         told = work.simulation(text, _moving(take))
-        motions[take.name] = motion = run(capture, longer, recipe, physics, spacing, told)
+        motions[take.name] = motion = run(capture, longer, recipe, physics, spacing, told).after(take.cut)
         substeps.append(motion.substeps)
         seen, lost = _seen(motion, take, faults, offset, np.random.default_rng([recipe.seed, 3, number]))
         if len(lost):
@@ -70,7 +74,8 @@ def make_capture(
             plain = motion.position[: take.frames]
             if physics:
                 told = work.simulation(f"{take.name}: without what is hidden", _moving(take))
-                plain = run(capture, recording, recipe, (), spacing, told).position
+                same = _whole(recipe, take, places)
+                plain = run(capture, same, recipe, (), spacing, told).after(take.cut).position
             differences.append(_difference(seen, plain, take, recipe.noise.sigma))
     capture = replace(capture, sequences=tuple(recordings))
     save_capture(capture, folder)
@@ -104,7 +109,7 @@ class _Work:
 
 def _moving(take: Take) -> int:
     """Number of frames after the release."""
-    return take.frames - 1 - (take.release or 0)
+    return take.cut + take.frames - 1 - (take.release or 0)
 
 
 def _bare_capture(recipe: Recipe, folder: Path, places: np.ndarray) -> Capture:
@@ -118,8 +123,37 @@ def _bare_capture(recipe: Recipe, folder: Path, places: np.ndarray) -> Capture:
         poissons_ratio=next(iter(ratios.values())) if same else ratios,
         mass=recipe.mass if recipe.known == "mass" else None,
     )
-    recordings = tuple(_recording(recipe, take, places) for take in recipe.takes)
+    recordings = tuple(_shown(recipe, take, places) for take in recipe.takes)
     return Capture(recipe.name, folder, shape.gravity, shape.parts, shape.rest, known, recordings)
+
+
+def _whole(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -> Recording:
+    """One take without measurements, `extra` frames longer, with what the capture does not show of it."""
+    whole = replace(take, frames=take.cut + take.frames)
+    return replace(_recording(recipe, whole, places, extra), loads=_pulling(recipe.shape, take))
+
+
+def _pulling(shape: Shape, take: Take) -> tuple[Load, ...]:
+    """What pulls the object aside before frame 0: in steps, a frame each, and whole for the last fifth."""
+    if take.pull is None:
+        return ()
+    corners = np.concatenate([part.bounds for part in shape.parts])
+    reach = TIP * np.linalg.norm(np.ptp(corners, axis=0))
+    box = shape.tip + np.array([[-reach], [reach]])
+    grown = ramp((np.arange(take.cut) + 0.5) / (0.8 * take.cut))
+    return tuple(Load(box, share * np.array(take.pull), k, k + 1) for k, share in enumerate(grown))
+
+
+def _shown(recipe: Recipe, take: Take, places: np.ndarray) -> Recording:
+    """What the capture shows of a take, without measurements: the rest of it, if it begins late."""
+    recording = _recording(recipe, replace(take, frames=take.cut + take.frames), places)
+    if not take.cut:
+        return recording
+    (hold,) = recording.held
+    if not hold.is_fixed:
+        hold = Hold(hold.box, hold.position[take.cut :], hold.quaternion[take.cut :])
+    markers = replace(recording.markers, position=recording.markers.position[take.cut :])
+    return replace(recording, frames=take.frames, held=(hold,), markers=markers, release=None)
 
 
 def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -> Recording:

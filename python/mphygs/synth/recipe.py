@@ -28,7 +28,9 @@ class Material:
 
 @dataclass(frozen=True)
 class Take:
-    """One recorded motion. fit, predict: frame ranges; release: all points rest until this frame."""
+    """One recorded motion. fit, predict: frame ranges; release: all points rest until this frame; cut: frames
+    of the motion before frame 0, which the capture does not show, the release among them; pull: (3,) force
+    [N] that grows over these on what is about the tip, and is gone with frame 0."""
 
     name: str
     motions: tuple[Motion, ...]
@@ -37,8 +39,16 @@ class Take:
     fit: tuple[int, int]
     predict: tuple[int, int]
     release: int | None = None
+    cut: int = 0
+    pull: tuple[float, float, float] | None = None
 
 
+# How a motion begins: from rest, let go where it was pulled aside, or in the midst of a movement of its hold.
+STARTS = ("rest", "pulled", "moving")
+# Force that pulls an object aside, in its usual weight, and for how long it grows [s].
+PULL, PULLED = 0.3, 1.0
+# Share of a movement of the hold that is over where a film begins in its midst.
+MIDST = 0.6
 # Cells of the grid whose spacing the truth's is stated in.
 TRUTH_CELLS = 250
 
@@ -114,24 +124,37 @@ def usual_motion(kind: str, lying: bool) -> Motion:
     return table[kind]
 
 
-def default_takes(kind: Shape, *, frames: int = 80, kinds: tuple[str, ...] = ()) -> tuple[Take, ...]:
+def default_takes(
+    kind: Shape, *, frames: int = 80, kinds: tuple[str, ...] = (), start: str = "rest"
+) -> tuple[Take, ...]:
     """Two motions for an object, one to fit and one for prediction only.
 
-    kinds: movements of the first, as of `usual_motion`; none: as suits the object. An object that is free of
-    stress at rest is let go at frame 2.
+    kinds: movements of the first, as of `usual_motion`; none: as suits the object; start: of both, as in
+    STARTS. An object that is free of stress at rest is let go at frame 2. Raises ValueError for others.
     """
+    if start not in STARTS:
+        raise ValueError(f"start '{start}': expected one of {', '.join(STARTS)}")
     lying = kind.rest == "stress-free"
     fps, release = (60.0, 2) if lying else (30.0, None)
     first = kinds or (("shift",) if lying else ("shake", "turn"))
     second = ("shake", "turn") if lying else ("rock", "shift")
     split = round(0.625 * frames)
-    return tuple(
-        Take(name, tuple(usual_motion(k, lying) for k in movements), fps, frames, fit, predict, release)
-        for name, movements, fit, predict in (
-            ("a", first, (0, split), (split, frames)),
-            ("b", second, (0, 0), (0, frames)),
-        )
-    )
+    takes = []
+    for name, movements, fit, predict, side in (
+        ("a", first, (0, split), (split, frames), 1.0),
+        ("b", second, (0, 0), (0, frames), -1.0),
+    ):
+        moved = tuple(usual_motion(k, lying) for k in movements)
+        cut, pull = 0, None
+        if start == "pulled":
+            weight = 9.81 * sum(kind.density[part.name] * part.volume for part in kind.parts)
+            across = np.cross(kind.axis, [0.0, 0.0, 1.0] if lying else [1.0, 0.0, 0.0])
+            pull = tuple(side * PULL * weight * across)
+            moved, cut = (), round(PULLED * fps)
+        elif start == "moving":
+            cut = round(fps * (moved[0].start + MIDST * (moved[0].stop - moved[0].start)))
+        takes.append(Take(name, moved, fps, frames, fit, predict, release, cut, pull))
+    return tuple(takes)
 
 
 def default_materials(

@@ -29,6 +29,10 @@ class Motion:
     movable: np.ndarray
     substeps: int
 
+    def after(self, cut: int) -> Motion:
+        """The motion from a frame on."""
+        return replace(self, position=self.position[cut:], velocity=self.velocity[cut:])
+
 
 def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> Belief:
     """The model with the true materials and the hidden effects that the registry names."""
