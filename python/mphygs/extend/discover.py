@@ -230,8 +230,7 @@ def discover(
 
     masks = names is None or FAULT in names
     masks = masks and not any(FAULT in step.added for step in steps)
-    if masks or not steps:
-        now = begun(steps[-1] if steps else None)
+    now = begun(steps[-1] if steps else None) if masks or not steps else None
     if masks:
         compared = experiment.compare(now.belief, spacing, jacobian=False, gain=now.gain)
         count = mask_outliers(experiment, compared)
@@ -244,16 +243,19 @@ def discover(
             experiment.problems.clear()
             now = assimilated(experiment, now.belief, spacing, criteria=criteria, say=say)
             done(step_of(experiment, now, grids, criteria, added=(FAULT,)))
+            now = None
     if not steps:
         done(step_of(experiment, now, grids, criteria))
+        now = None
     while not steps[-1].explained and len(steps[-1].belief.terms) < criteria.largest_model:
         if names is not None and set(names) <= set(steps[-1].belief.effects):
             break
-        now = begun(steps[-1])
+        now = now or begun(steps[-1])
         if steps[-1].spacing > grids.deciding and is_free(now, criteria):
             # What is near the data on the coarse grid is asked on the one that decides.
             better = step_of(experiment, now, grids, criteria, added=steps[-1].added, ties=steps[-1].ties)
             steps[-1] = replace(better, table=steps[-1].table, warnings=steps[-1].warnings)
+            now = None
             continue
         round_ = held_round(
             experiment,
@@ -276,6 +278,7 @@ def discover(
             table = table_of(round_)
             break
         done(step)
+        now = None
     if steps[-1].explained and len(steps[-1].belief.terms) > 1:
         steps[-1] = without_superfluous(experiment, steps[-1], criteria, say)
     if steps[-1].explained and steps[-1].added:

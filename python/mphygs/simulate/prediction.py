@@ -167,7 +167,7 @@ class Predictor:
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if belief.prestress == "equilibrium":
             fields |= self.transfer.prestressed(belief)
-        start = start or self._start.at(belief, _late(belief))
+        start = start or self._start.at(belief, lateness(belief))
         return fields if start is None else self.transfer.begun(fields, start)
 
     def _imposed(self, belief: Belief, timeline: Timeline) -> dict[str, np.ndarray]:
@@ -235,13 +235,13 @@ class Predictor:
                 for i, slope in zip(indices, slopes, strict=True):
                     changes[i] |= slope
             self.rest_shape.solve(belief)
-        state = start or self._start.at(belief, _late(belief))
+        state = start or self._start.at(belief, lateness(belief))
         if state is not None:
             changes = [self.transfer.begun_change(c, state) for c in changes]
         own = [i for i, (_, parameter) in enumerate(owned) if start_sequence(parameter) == here]
         if own and start is None:
             rest = self.transfer.prestressed(belief) if belief.prestress == "equilibrium" else {}
-            slopes = self._start.slopes(belief, [owned[i][1] for i in own], _late(belief))
+            slopes = self._start.slopes(belief, [owned[i][1] for i in own], lateness(belief))
             for i, slope in zip(own, slopes, strict=True):
                 changes[i] = self.transfer.begun_slope(rest, slope)
         return changes
@@ -452,11 +452,6 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
-
-
-def _late(belief: Belief) -> float:
-    """How much later than stated a belief has every frame [s]."""
-    return belief["time_offset.offset"].value if "time_offset" in belief.effects else 0.0
 
 
 def moves_targets(parameter: Parameter) -> bool:
