@@ -98,7 +98,7 @@ def assimilated(
             solution = minimise(
                 problem,
                 belief if found is None else found.belief,
-                iterations=8 if found is None else 3,
+                iterations=8 if found is None else 2,
                 relative_tolerance=ACCURACY,
             )
             compared = experiment.compare(solution.belief, spacing, jacobian=False, gain=gain)
