@@ -2,9 +2,9 @@
 
     python benchmarks/diagnose/run.py [CAPTURE ...] [--rounds 5]
 
-Fits elasticity alone to each capture, under feedback, on the grid that effects are scored on, which is
-coarser than that of a fit: one forward run on each stands beside the tangents. Without a capture, a bar with
-a hidden viscosity is made. The runs take turns, so that what else the machine does is felt by all.
+Fits elasticity alone to each capture, on the grid that effects are scored on, which is coarser than that of a
+fit: one forward run on each stands beside the tangents. Without a capture, a bar with a hidden viscosity is
+made. The runs take turns, so that what else the machine does is felt by all.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ import numpy as np
 import tyro
 
 from mphygs.capture.format import load_capture
-from mphygs.diagnose.shaking import swing_ways
-from mphygs.diagnose.ways import missing, smooth_ways
-from mphygs.extend.rounds import assimilated
+from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
+from mphygs.extend.discover import first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.schedule import default_spacing, screening_spacing
@@ -62,14 +61,12 @@ def measured(folder: Path, options: Options) -> str:
     capture = load_capture(folder)
     spacing = screening_spacing(capture)
     experiment = Experiment.of(capture, Settings(spacing=spacing, workers=options.workers))
-    belief = assimilated(experiment, experiment.starting(starting_belief(capture)), spacing).belief
+    belief = first_fit(experiment, experiment.starting(starting_belief(capture)), spacing).belief
     name, (_first, last) = next(iter(experiment.fitted.items()))
     predictor = experiment.predictor(name, spacing)
     finer = experiment.predictor(name, default_spacing(capture))
     ways = smooth_ways(belief, predictor.body, hung=masses_of_loads(capture, [name]))
-    for spec in missing(belief, predictor.body.transfer, None):
-        if spec.of_role("frequency"):
-            ways += swing_ways(belief, spec, [float(f) for f in range(1, SHAKES + 1)])
+    ways += base_motion_ways(belief, [float(f) for f in range(1, SHAKES + 1)])
     columns = [pair for way in ways for pair in way.columns]
     substep, fine_substep = predictor.stable_substep(belief), finer.stable_substep(belief)
     # Copies: a prediction of the same object that is kept would come back.

@@ -91,9 +91,9 @@ def _drops(found: Discovery) -> list[float]:
     """Predicted over actual drop of chi^2 of every effect that was added."""
     ratios = []
     for step in found.steps[1:]:
-        for row in step.table:
-            if row["effect"] in step.added and row["drop"]:
-                ratios.append(float(row["predicted_drop"] / row["drop"]))
+        for trial in step.refits:
+            if trial.entry.effect in step.added and trial.actual_drop > 0.0:
+                ratios.append(float(trial.entry.statistic / trial.actual_drop))
     return ratios
 
 

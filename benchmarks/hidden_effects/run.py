@@ -26,7 +26,7 @@ from mphygs.capture.format import load_capture
 from mphygs.command import plain
 from mphygs.extend.discover import discover
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import deciding_spacing, default_spacing, screening_spacing
+from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.prediction import Settings
 from mphygs.synth.make import make_capture
@@ -73,12 +73,7 @@ def run_case(case: Case, seed: int, options: Options, say: object) -> dict:
         experiment = Experiment.of(capture, Settings(spacing=spacing, workers=options.workers))
         began = time.perf_counter()
         found = discover(
-            experiment,
-            starting_belief(capture),
-            spacing,
-            fine=deciding_spacing(capture) if screening else None,
-            seed=seed,
-            report=say,
+            experiment, starting_belief(capture), spacing, seed=seed, screening=screening, report=say
         )
         entry = record(case, answer, found, experiment, time.perf_counter() - began)
     except (

@@ -17,13 +17,7 @@ from mphygs.capture.written import replace_file
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
-from mphygs.diagnose.__main__ import (
-    diagnosis_document,
-    drift_entries,
-    known_effects,
-    path_of,
-    ranking_entries,
-)
+from mphygs.diagnose.__main__ import diagnosis_document, drift_entries, known_effects, ranking_entries
 from mphygs.diagnose.missing_force_document import (
     keep_missing_force,
     missing_force_text,
@@ -36,20 +30,22 @@ from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
 from mphygs.extend.step import Step
 from mphygs.extend.steps import run_at, step_at, steps_text
+from mphygs.extend.window import passed_on_the_way
 from mphygs.fit.__main__ import RUNS, FitOptions, check_options, fitted
 from mphygs.fit.countdown import duration
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
-from mphygs.fit.schedule import deciding_spacing, screening_spacing
+from mphygs.fit.schedule import screening_spacing
 from mphygs.image_stages import FOLDER, has_stages, run_stages
+from mphygs.model.belief import Belief
 from mphygs.simulate.settings import check_effects
 
 PROGRAM = "mphygs discover"
 # The first model's fit, kept inside the run folder.
 FIRST = "first-fit"
-ANSWER = ("steps", "verdict", "effects", "run", "warnings", "table", "path")
+ANSWER = ("steps", "verdict", "effects", "run", "warnings")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,6 +121,8 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     spacing = state.settings.spacing
     done = Kept.of(kept)
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
+    if screening:
+        steps[0] = replace(steps[0], halfway=_halfway(state))
     if not done.documents:
         done.tell(steps[0], experiment)
         _keep(out, done, experiment, options)
@@ -141,10 +139,10 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         experiment,
         belief,
         spacing,
-        fine=deciding_spacing(capture) if screening else None,
         seed=state.seed,
         names=candidates,
         start=steps,
+        screening=screening,
         report=lambda text: console.say(f"[{duration(console.seconds)}] {text}"),
         on_step=on_step,
     )
@@ -155,6 +153,13 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     answer = _conclude(out, options, state, experiment, found, done, console)
     _keep(out, done, experiment, options, answer)
     return Answer(answer, _text(answer, state.capture))
+
+
+def _halfway(state: Run) -> Belief | None:
+    """The model of the first half of the frames, which a fit on one grid passes before all of them."""
+    if any(stage.spacing != state.settings.spacing for stage in state.history):
+        return None
+    return passed_on_the_way(state.earlier, [stage.misfit for stage in state.history[:-2]])
 
 
 def _again(options: DiscoverOptions, out: Path) -> str:
@@ -213,7 +218,9 @@ def _conclude(
     missing = None
     if found.verdict == "unknown":
         kept = [s for s in found.steps if set(s.added) <= {"marker_outliers"}][-1]
-        missing = unexplained(experiment, kept.belief, kept.spacing, seed=state.seed, report=console.say)
+        missing = unexplained(
+            experiment, kept.belief, kept.spacing, seed=state.seed, start=kept.halfway, report=console.say
+        )
         missing = with_plugin_in(missing, out, state.options.get("plugin"))
     answer = {
         "steps": done.documents,
@@ -222,8 +229,6 @@ def _conclude(
         "run": str(out),
         "warnings": list(found.warnings),
         "missing_force": None if missing is None else missing.document(),
-        "table": list(found.table),
-        "path": path_of(found.steps),
     }
     given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}

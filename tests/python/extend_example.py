@@ -11,7 +11,9 @@ from bar_capture import bar_belief, bar_capture
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Assessment
 from mphygs.compare.verdict_floor import Floor
+from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.ranking import Entry
+from mphygs.extend.refit import Refit
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
@@ -71,6 +73,21 @@ def entry_of(
     name: str, statistic: float, *, p_value: float = 1e-9, kind: str = "smooth", start: Belief | None = None
 ) -> Entry:
     return Entry(name, name, kind, statistic, p_value, 1.0, {}, {}, start or plain_belief())
+
+
+def refit_of(
+    *,
+    gain: GainInterval | None,
+    chi_square: float = 100.0,
+    drop: float = 100.0,
+    statistic: float = 100.0,
+    assessment: Assessment | None = None,
+) -> Refit:
+    belief = plain_belief()
+    return Refit(
+        entry_of("viscosity", statistic), solution_of(belief, evaluation_of(chi_square)), {},
+        assessment or assessment_of(1.0), gain, drop,
+    )  # fmt: skip
 
 
 def recorded(capture: Capture, truth: Belief, spacing: float = SPACING) -> Capture:

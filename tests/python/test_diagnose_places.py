@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.diagnose.places import ways_between
-from mphygs.diagnose.ways import Way, place_digits, placed_way, smooth_ways
-from mphygs.model.registry import effect
+from mphygs.diagnose.candidates import Way, mass_way, place_digits, smooth_ways
+from mphygs.diagnose.places import mass_between
 from mphygs.simulate.prediction import Predictor, Settings
 
 PLACES = np.array([[0.055, 0.004, 0.01], [0.055, 0.016, 0.01], [0.02, 0.01, 0.01]])
@@ -20,14 +19,6 @@ def scene() -> tuple[Predictor, object]:
     capture = bar_capture(frames=12, fps=60.0)
     belief = bar_belief(capture, free=("part0.youngs_modulus",))
     return Predictor(capture, capture.sequence("a"), Settings(0.01, workers=1)), belief
-
-
-def mass_way(belief: object, place: np.ndarray, digits: int = 3) -> Way:
-    return placed_way(belief, effect("attached_mass"), place, digits, {})
-
-
-def mass_between(*given: object) -> Way | None:
-    return next(iter(ways_between(*given)), None)
 
 
 def tangents_of(predictor: Predictor, belief: object, ways: list[Way]) -> np.ndarray:

@@ -11,9 +11,7 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, recorded
 from mphygs.compare.allowance import Allowance
 from mphygs.compare.projection import project_out
-from mphygs.diagnose.propose import proposals
-from mphygs.diagnose.ranking import ranking_of
-from mphygs.diagnose.scan import scan
+from mphygs.diagnose.rank import rank
 from mphygs.diagnose.spots import STRETCH, Spots
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
@@ -87,10 +85,10 @@ def test_a_ranking_tells_where_and_when_its_effects_are_wanted(scene: tuple) -> 
     capture = recorded(experiment.capture, truth.with_effect("mass_damping", {"alpha": 2.0}), SPACING)
     own = Experiment.of(capture, Settings(SPACING, workers=1))
     fitted = minimise(own.problem(SPACING), truth)
-    problem = own.problem(SPACING)
-    given = (own, problem, fitted.belief, fitted.evaluation)
-    ways, _ = proposals(*given, names=("mass_damping",))
-    found = ranking_of(scan(*given, ways, generator=np.random.default_rng(0)), fitted.belief)
+    found = rank(
+        own, fitted.belief, fitted.evaluation, SPACING,
+        generator=np.random.default_rng(0), names=("mass_damping", "plasticity"), trials=False,
+    )  # fmt: skip
     (entry,) = found.entries
     assert 0 < len(entry.spots) <= 3
     sizes = [abs(spot.z) for spot in entry.spots]

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from diagnose_toy import COUNT, candidate, table_of, toy
+from diagnose_toy import COUNT, candidate, smooth_tangents, table_of, toy
 from mphygs.compare.holm import holm
+from mphygs.diagnose.decoys import check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 
 
@@ -59,3 +60,56 @@ def test_family_needs_something_testable() -> None:
     dead = table_of(np.ones(COUNT), np.zeros((COUNT, 0)), [candidate("dead", np.zeros(COUNT))])
     with pytest.raises(ValueError, match="at least one testable"):
         simulate_family(dead, generator=np.random.default_rng(0))
+    with pytest.raises(ValueError, match="do not absorb"):
+        check_decoys(dead, generator=np.random.default_rng(0))
+
+
+def test_decoys_are_as_smooth_as_the_candidates_and_not_among_them() -> None:
+    generator = np.random.default_rng(4)
+    tangents = smooth_tangents(generator, 8) * np.logspace(-5, 5, 8)
+    decoys = decoy_tangents(tangents, 30, generator=generator)
+
+    def roughness(series: np.ndarray) -> np.ndarray:
+        return (np.diff(series, axis=0) ** 2).sum((0, 1, 2)) / (series**2).sum((0, 1, 2))
+
+    assert np.median(roughness(decoys)) == pytest.approx(np.median(roughness(tangents)), rel=0.6)
+    white = generator.normal(size=decoys.shape)
+    assert roughness(decoys).max() < 0.2 * roughness(white).min()
+    unit = tangents.reshape(COUNT, -1) / np.linalg.norm(tangents.reshape(COUNT, -1), axis=0)
+    assert np.abs(unit.T @ decoys.reshape(COUNT, -1)).max() < 0.95
+    with pytest.raises(ValueError, match="at least one tangent"):
+        decoy_tangents(np.zeros_like(tangents), 3, generator=generator)
+
+
+def test_decoys_hold_their_level_on_noise_and_give_understated_noise_away() -> None:
+    generator = np.random.default_rng(5)
+    tangents = smooth_tangents(generator, 8)
+    decoys = decoy_tangents(tangents, 30, generator=generator).reshape(COUNT, -1)
+    candidates = [candidate(f"decoy {k}", decoys[:, k]) for k in range(30)]
+    jacobian = smooth_tangents(generator, 3).reshape(COUNT, -1)
+    shares, p_values, inflated = [], [], []
+    for _ in range(60):
+        noise = generator.standard_normal(COUNT)
+        good = check_decoys(table_of(noise, jacobian, candidates), generator=generator, draws=300)
+        bad = check_decoys(table_of(2.5 * noise, jacobian, candidates), generator=generator, draws=300)
+        shares.append(good.false_alarm_share)
+        p_values.append(good.p_value)
+        inflated.append(bad.p_value < 0.05)
+    assert np.mean(shares) == pytest.approx(0.05, abs=0.03)
+    assert np.mean(np.array(p_values) < 0.05) < 0.15
+    assert np.mean(inflated) > 0.8
+    assert bad.inflation == pytest.approx(6.25 * good.inflation)
+
+
+def test_a_real_effect_stands_out_from_decoys() -> None:
+    generator = np.random.default_rng(6)
+    jacobian, candidates = toy(generator)
+    decoys = decoy_tangents(smooth_tangents(generator, 8), 40, generator=generator).reshape(COUNT, -1)
+    residual = generator.standard_normal(COUNT) + candidates[1].tangent[:, 0]
+    table = table_of(
+        residual, jacobian, [candidates[1], *(candidate(str(k), decoys[:, k]) for k in range(40))]
+    )
+    decoy_table = table_of(residual, jacobian, [candidate(str(k), decoys[:, k]) for k in range(40)])
+    check = check_decoys(decoy_table, generator=generator)
+    assert check.stands_out(table["e1"]) == pytest.approx(1 / 41)
+    assert check.stands_out(table["0"]) > 1 / 41

@@ -13,7 +13,9 @@ from mphygs.compare.holm import holm
 from mphygs.compare.projection import project_out
 from mphygs.compare.verdict_floor import floor_test
 from mphygs.diagnose.block_scores import block_scores
+from mphygs.diagnose.held_out import gain_interval
 from mphygs.diagnose.score import score_candidates
+from mphygs.diagnose.trials import score_trials
 
 
 def test_blocks_cover_parts_and_frames() -> None:
@@ -67,6 +69,50 @@ def test_block_scores_allow_for_what_the_fit_absorbs_in_the_block() -> None:
     np.testing.assert_allclose(found.z[2], freed.T @ left / np.linalg.norm(freed, axis=0))
     expected = (freed.T @ left) @ np.linalg.solve(freed.T @ freed, freed.T @ left)
     assert found.statistic[2] == pytest.approx(expected) and found.degrees[2] == 2
+
+
+def test_trials_have_uniform_p_values_and_find_the_right_one() -> None:
+    generator = np.random.default_rng(13)
+    jacobian, _ = toy(generator)
+    base = smooth_tangents(generator, 1).reshape(COUNT)
+    onset = np.nonzero(np.ones((FRAMES, MARKERS, 3)))[0][:, None] >= np.array([[35, 25, 15, 5]])
+    changes = 0.1 * base[:, None] * onset
+    p_values = np.array(
+        [
+            score_trials(
+                generator.standard_normal(COUNT), jacobian, changes, generator=generator, draws=1000
+            ).p_value
+            for _ in range(300)
+        ]
+    )
+    for level in (0.05, 0.1, 0.2):
+        assert np.mean(p_values <= level) == pytest.approx(level, abs=3.0 * np.sqrt(level / 300))
+    strong = 0.6 * base[:, None] * onset
+    trials = score_trials(
+        generator.standard_normal(COUNT) + strong[:, 2], jacobian, strong, generator=generator
+    )
+    assert trials.best == 2 and trials.p_value < 1e-6
+    left = project_out(jacobian).remaining(generator.standard_normal(COUNT) * 0.0 + strong[:, 2])
+    exact = score_trials(strong[:, 2], jacobian, strong, generator=generator)
+    assert exact.drop == pytest.approx(left @ left)
+    np.testing.assert_allclose(
+        project_out(jacobian).remaining(strong[:, 2]),
+        strong[:, 2] + jacobian @ exact.shifts[:, 2],
+        atol=1e-10,
+    )
+
+
+def test_trials_that_do_nothing_or_are_absorbed_are_not_found() -> None:
+    generator = np.random.default_rng(14)
+    jacobian, _ = toy(generator)
+    residual = generator.standard_normal(COUNT) + 0.1 * jacobian[:, 0]
+    trials = score_trials(
+        residual, jacobian, np.column_stack([np.zeros(COUNT), jacobian[:, 0]]), generator=generator
+    )
+    assert not trials.testable.any() and trials.p_value == 1.0
+    np.testing.assert_allclose(trials.absorbed, 1.0)
+    with pytest.raises(ValueError, match="at least one"):
+        score_trials(residual, jacobian, np.zeros((COUNT, 0)), generator=generator)
 
 
 def test_floor_holds_its_level_and_sees_a_local_fault() -> None:
@@ -137,3 +183,34 @@ def test_floor_and_score_with_the_discretisation_allowed_for() -> None:
     physics = generator.standard_normal(COUNT) + 0.5 * candidates[1].tangent[:, 0]
     table = score_candidates(physics, jacobian, candidates, generator=generator, allowance=directions)
     assert table.ranked()[0].name == "e1"
+
+
+def test_gain_interval_covers_the_expected_gain_with_few_blocks() -> None:
+    generator = np.random.default_rng(18)
+    blocks = np.repeat(np.arange(8), 12)
+    covered = []
+    for _ in range(400):
+        before = generator.standard_normal(96) + np.repeat(generator.normal(size=8), 12)
+        after = generator.standard_normal(96)
+        interval = gain_interval(before, after, blocks, generator=generator, draws=600)
+        # Expected gain: half the variance that every observation loses.
+        covered.append(interval.low <= 48.0 <= interval.high)
+    assert 0.88 < np.mean(covered) < 0.99
+
+
+def test_effect_is_accepted_only_when_it_pays_on_unseen_frames() -> None:
+    generator = np.random.default_rng(19)
+    blocks = np.repeat(np.arange(10), 20)
+    noise = generator.standard_normal(200)
+    wave = np.sin(np.arange(200) * 0.3)
+    pays = gain_interval(noise + wave, noise, blocks, generator=generator)
+    assert pays.accepted and pays.gain == pytest.approx(0.5 * ((noise + wave) ** 2 - noise**2).sum())
+    accepted = 0
+    for _ in range(100):
+        noise = generator.standard_normal(200)
+        accepted += gain_interval(noise, noise + 0.1 * wave, blocks, generator=generator, draws=400).accepted
+    assert accepted <= 4
+    once = gain_interval(noise + 8.0 * (blocks == 3), noise, blocks, generator=generator)
+    assert once.gain > 0.0 and not once.accepted
+    with pytest.raises(ValueError, match="3 blocks"):
+        gain_interval(noise[:60], noise[:60], blocks[:60], generator=generator)

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING
-from mphygs.diagnose.starts import other_starts, start_of
-from mphygs.diagnose.ways import Way, smooth_ways
+from mphygs.diagnose.candidates import Way, late_ways, other_starts, smooth_ways, starting_effect
 from mphygs.model.belief import Belief
-from mphygs.simulate.prediction import Predictor, Settings
-
-FREE, FRAMES = ("part0.youngs_modulus",), 24
-
-
-@cache
-def resting() -> tuple[Predictor, Belief]:
-    """A shaken bar whose published shape bears its weight."""
-    shake = 0.002 * np.sin(np.linspace(0.0, 9.0, FRAMES))[:, None] * [0.0, 1.0, 0.3]
-    capture = bar_capture(frames=FRAMES, fps=60.0, rest="equilibrium", motion=shake, fit=(0, FRAMES))
-    belief = bar_belief(capture, youngs_modulus=8e4, prestress="equilibrium", free=FREE)
-    return Predictor(capture, capture.sequence("a"), Settings(SPACING, workers=1)), belief
+from test_diagnose_late import resting
 
 
 def tether() -> tuple[Way, Belief]:
@@ -54,9 +39,9 @@ def score_of(estimate: list[float], std: float) -> SimpleNamespace:
 )
 def test_a_tether_pulls_as_its_springs_do(estimate: list[float], stiffness: float) -> None:
     way, belief = tether()
-    start = start_of(way, np.array(estimate), belief)
+    start = starting_effect(way, np.array(estimate), belief)
     assert start["tether.k"].value == pytest.approx(stiffness)
-    np.testing.assert_allclose(pull(start), way.scale * np.array(estimate[1:]), atol=1e-12)
+    np.testing.assert_allclose(pull(start), way.settings["size"] * np.array(estimate[1:]), atol=1e-12)
     assert {p.key for p in start.free if p.key.startswith("tether.")} == {
         "tether.k", "tether.anchor_x", "tether.anchor_y", "tether.anchor_z",
     }  # fmt: skip
@@ -81,12 +66,11 @@ def test_a_stiffness_that_the_estimate_does_not_tell_is_tried_from_nearer_by(
     starts = other_starts(way, score_of(estimate, std), belief)
     assert [start["tether.k"].value for start in starts] == pytest.approx(stiffnesses)
     for start in starts:
-        np.testing.assert_allclose(pull(start), way.scale * np.array(estimate[1:]), atol=1e-12)
+        np.testing.assert_allclose(pull(start), way.settings["size"] * np.array(estimate[1:]), atol=1e-12)
 
 
 def test_a_tether_that_came_late_starts_late() -> None:
     predictor, belief = resting()
-    ways = smooth_ways(belief, predictor.body, names=["tether"])
-    way = next(w for w in ways if w.settings.get("at_rest") is False)
+    way = late_ways(belief, predictor.body, names=["tether"])[0]
     starts = other_starts(way, score_of([-9.0, 0.3, 0.0, -0.4], 0.5), belief)
     assert [start.term("tether").settings["at_rest"] for start in starts] == [False]

@@ -11,6 +11,8 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
 from mphygs.command import plain
+from mphygs.extend.finer import finer
+from mphygs.extend.grids import with_budget
 from mphygs.extend.step import Step, from_grid_to_grid, known_budget
 from mphygs.extend.steps import restored, state_of, step_at, step_document, uncertainty
 from mphygs.fit.belief_document import document_of_belief
@@ -21,11 +23,6 @@ from mphygs.simulate.prediction import Settings
 
 COARSE, FINER, FINE = 0.01, 0.008, 0.005
 KEY = "part0.youngs_modulus"
-
-
-def with_budget(experiment: Experiment, step: Step, *, beside: float | None = None) -> Step:
-    """The step with the discretisation's share measured for it."""
-    return step_at(experiment, step.belief, step.spacing, added=step.added, refined=True, beside=beside)
 
 
 def test_a_coarse_grid_is_not_sure_of_the_stiffness() -> None:
@@ -63,14 +60,14 @@ def test_a_coarse_grid_is_not_sure_of_the_stiffness() -> None:
 def test_what_a_number_moves_from_grid_to_grid_tells_how_far_it_has_to_go() -> None:
     """An error of second order, 0.08 on 10 mm and 0.02 on 5 mm: 0.02 to go. A bound says nothing."""
     experiment, step = bar()
-    coarse = step.belief
+    coarse, spacing = step.belief, 0.5 * step.spacing
     (parameter,) = coarse.free
     there = coarse.with_parameter(KEY, value=parameter.value * np.exp(-0.06))
-    moved = from_grid_to_grid(coarse, there, 2.0)
+    moved = from_grid_to_grid(step, there, spacing)
     assert moved == {KEY: pytest.approx(-0.02)}
-    assert from_grid_to_grid(coarse, there, 1.0) == {}
+    assert from_grid_to_grid(step, there, step.spacing) == {}
     stuck = there.with_parameter(KEY, lower=there[KEY].value)
-    assert from_grid_to_grid(coarse, stuck, 2.0) == {}
+    assert from_grid_to_grid(step, stuck, spacing) == {}
     # It is told of the step: beside the noise, and not where a refinement says more.
     sure = replace(step, moved={})
     unsure = replace(step, moved=moved)
@@ -106,7 +103,7 @@ def same(step: Step, other: Step) -> None:
     assert other.assessment.ratio == step.assessment.ratio
     assert other.assessment.budget == step.assessment.budget
     assert other.explained == step.explained
-    for key in ("spacing", "beside", "added", "ties", "dropped", "table", "warnings"):
+    for key in ("spacing", "lender", "beside", "added", "ties", "since", "dropped", "reconciled", "warnings"):
         assert getattr(other, key) == getattr(step, key)
 
 
@@ -123,10 +120,13 @@ def test_a_step_is_restored_as_it_was() -> None:
     experiment, plain_step = bar()
     same(plain_step, again(experiment, plain_step))
     full = replace(
-        plain_step, added=("viscosity",), ties=("wind",), dropped=("gravity",),
-        warnings=("something",), table=({"effect": "wind"},),
+        plain_step, added=("viscosity",), ties=("wind",), since=0.25, reconciled=True, dropped=("gravity",),
+        warnings=("something",),
     )  # fmt: skip
     same(full, again(experiment, full, ("gravity",)))
+    rough = plain_step.belief.with_parameter(KEY, value=5e4)
+    kept = again(experiment, replace(full, rough=rough)).rough
+    assert document_of_belief(kept) == document_of_belief(rough)
 
 
 def test_a_step_is_restored_with_the_grids_share() -> None:
@@ -138,3 +138,10 @@ def test_a_step_is_restored_with_the_grids_share() -> None:
     rough = with_budget(experiment, step, beside=1.5 * COARSE)
     assert not np.array_equal(rough.compared["a"].refinement, known.compared["a"].refinement)
     same(rough, again(experiment, rough))
+
+
+def test_a_step_is_restored_with_the_tangents_that_it_borrowed() -> None:
+    experiment, step = bar()
+    lent = finer(experiment, replace(step, added=("viscosity",)))
+    assert lent.lender == COARSE != lent.spacing
+    same(lent, again(experiment, lent))

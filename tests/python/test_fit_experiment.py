@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, recorded
+from extend_example import SPACING, recorded, step_of
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
+from mphygs.extend.simplest import among_all, without_loads
+from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
-from mphygs.model.belief import Belief
+from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.prediction import Settings
 
 PULL = Load(np.array([[0.05, 0.0, 0.0], [0.06, 0.02, 0.02]]), np.array([0.0, 0.02, 0.0]), 0)
@@ -92,6 +94,61 @@ def test_what_one_experiment_leaves_out_the_other_does() -> None:
     alone.problem(SPACING)
     alone.observations["plain"] = alone.observations["plain"].without(np.array([True, False, False, False]))
     assert made.observations["plain"] is alone.observations["plain"]
+
+
+# ---- the simplest recordings first ------------------------------------------------------------
+def test_the_simplest_recordings_are_those_without_a_load() -> None:
+    made = experiment()
+    assert without_loads(made) == ("plain", "late")
+    assert without_loads(made.only(("plain", "late"))) == ()
+    assert without_loads(made.only(("pulled",))) == ()
+    assert without_loads(made.only(("pulled", "late"))) == ("late",)
+
+
+def released(belief: Belief, name: str, value: float) -> Belief:
+    parameter = Parameter(f"{name}.release_shift", value, "s", -0.05, 0.05, prior_mean=0.01, prior_std=0.01)
+    return replace(belief, parameters=(*belief.parameters, parameter))
+
+
+def test_a_step_of_some_sequences_is_compared_on_all() -> None:
+    made, (_, truth) = experiment(), three_recordings()
+    first = released(released(truth, "plain", 0.03), "pulled", 0.04)
+    first = first.with_parameter(FREE[0], value=9e4)
+    # What was found on the simplest: another stiffness, an effect, the release of one sequence alone.
+    belief = released(truth, "plain", 0.02).with_effect("viscosity", {"eta": 3.0})
+    belief = belief.with_parameter("part0.density", value=900.0)
+    found = replace(made_step(belief), added=("viscosity",), ties=("mass_damping",), dropped=("wind",))
+    step = among_all(made, first, found)
+    assert step.dropped == ("wind",)
+    assert (step.added, step.ties, step.spacing) == (("viscosity",), ("mass_damping",), SPACING)
+    assert set(step.compared) == {"plain", "late", "pulled"}
+    values = {p.key: p.value for p in step.belief.parameters}
+    assert values["part0.youngs_modulus"] == 6e4 and values["viscosity.eta"] == 3.0
+    assert values["plain.release_shift"] == 0.02
+    # Nothing was found of the other sequence: it keeps what its first fit gave.
+    assert values["pulled.release_shift"] == 0.04
+    # What is known is not taken from anywhere.
+    assert values["part0.density"] == 1000.0
+    assert step.belief.effects == ("viscosity",)
+    expected = made.problem(SPACING).evaluate(step.belief, jacobian=False).chi_square
+    assert step.solution.evaluation.chi_square == pytest.approx(expected, rel=1e-4)
+
+
+def test_what_only_the_other_recordings_tell_is_back_at_its_prior() -> None:
+    made, (_, truth) = experiment(), three_recordings()
+    first = released(truth, "pulled", 0.04)
+    held = released(truth, "pulled", 0.0).with_parameter("pulled.release_shift", free=False)
+    step = among_all(made, first, made_step(held))
+    assert step.belief["pulled.release_shift"].value == 0.01
+    assert step.belief["pulled.release_shift"].free
+    # So is a number that is fitted in its logarithm.
+    wide = truth.with_parameter(FREE[0], prior_mean=float(np.log(5e4)), prior_std=1.0)
+    step = among_all(made, wide, made_step(truth.with_parameter(FREE[0], free=False)))
+    assert step.belief[FREE[0]].value == pytest.approx(5e4)
+
+
+def made_step(belief: Belief) -> Step:
+    return replace(step_of(None), belief=belief, spacing=SPACING)
 
 
 # ---- what is not computed twice ---------------------------------------------------------------

@@ -18,8 +18,10 @@ from mphygs.fit import checkpointed, levenberg_marquardt, schedule
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.run import Run, load_run
+from mphygs.fit.run import Run, StageRecord, load_run
 from mphygs.fit.schedule import (
+    SCREENING_ACCURACY,
+    TRACTABLE,
     Stage,
     deciding_spacing,
     fit_belief,
@@ -85,7 +87,9 @@ def test_a_hopeless_fit_is_resumed_to_the_same_numbers(
     """Where a stage leaves far too much, the next begins from the one before it; resumed, it does so too."""
     bounds: list[tuple[float, tuple[int, float] | None]] = []
 
-    def minimise(*args: object, gross: float, dwell: tuple[int, float] | None, **options: object) -> Solution:
+    def minimise(
+        *args: object, gross: float, dwell: tuple[int, float] | None, **options: object
+    ) -> Solution:
         bounds.append((gross, dwell))
         return levenberg_marquardt.minimise(*args, gross=gross, dwell=dwell, **options)
 
@@ -166,12 +170,14 @@ def test_a_part_of_stone_among_others_is_as_stiff_as_they_are() -> None:
     assert schedule.without_stiffest(replace(held, parameters=fixed)) is None
 
 
-def test_the_plan_of_a_loop_fits_under_feedback() -> None:
+def test_the_plan_of_a_screening_fit_dwells_on_nothing_gross() -> None:
     capture = bar_capture(frames=10, fps=100.0)
     coarse, deciding = screening_spacing(capture), deciding_spacing(capture)
-    (stage,) = plan_of(capture, coarse, warm=False, screening=True)
-    assert (stage.spacing, stage.share, stage.gain) == (coarse, 1.0, 1.0)
-    assert {s.gain for s in plan_of(capture, coarse, warm=False)} == {0.0}
+    usual = plan_of(capture, coarse, warm=False)
+    screened = plan_of(capture, coarse, warm=False, screening=True)
+    assert {stage.gross for stage in usual} == {np.inf}
+    assert {stage.gross for stage in screened} == {TRACTABLE}
+    assert [s.accuracy for s in screened] == [max(s.accuracy, SCREENING_ACCURACY) for s in usual]
     # What is decided on is fitted as ever.
     assert plan_of(capture, deciding, warm=True, screening=True) == plan_of(capture, deciding, warm=True)
 
@@ -239,6 +245,29 @@ def test_the_loop_asks_for_a_screening_fit_unless_the_grid_is_chosen(
     assert asked == [spacing is None]
 
 
+@pytest.mark.parametrize(
+    ("quarter", "spacings", "passed"),
+    [
+        (1.2, (0.01, 0.01, 0.01), True),
+        # what shows in the first quarter is to be looked for there
+        (1.3, (0.01, 0.01, 0.01), False),
+        # on two grids all of the motion comes before the last stage
+        (1.2, (0.015, 0.015, 0.015, 0.01), False),
+    ],
+)
+def test_a_window_was_passed_where_nothing_was_off_before_it(
+    quarter: float, spacings: tuple[float, ...], passed: bool
+) -> None:
+    misfits = (quarter, 1.2, 9.0, 9.0)
+    history = tuple(
+        StageRecord("", spacing, (), True, "", 1.0, misfit)
+        for spacing, misfit in zip(spacings, misfits, strict=False)
+    )
+    half = bar_belief(bar_capture())
+    state = SimpleNamespace(history=history, earlier=half, settings=Settings(0.01))
+    assert (discover_command._halfway(state) is half) is passed
+
+
 @pytest.mark.parametrize("default", [0.0037, 0.0041, 0.0057])
 def test_a_screening_fit_has_one_grid_whatever_the_rounding(
     default: float, monkeypatch: pytest.MonkeyPatch
@@ -247,4 +276,4 @@ def test_a_screening_fit_has_one_grid_whatever_the_rounding(
     monkeypatch.setattr(schedule, "default_spacing", lambda _capture: default)
     coarse = screening_spacing(bar_capture())
     plan = plan_of(bar_capture(), coarse, warm=False, screening=True)
-    assert [stage.spacing for stage in plan] == [coarse]
+    assert [stage.spacing for stage in plan] == [coarse] * 3

@@ -11,14 +11,12 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
-from mphygs.diagnose.trials import Trial, hung
-from mphygs.diagnose.ways import hung_label
+from mphygs.diagnose.trials_of import hung_label, hung_trials
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance, minimise
 from mphygs.fit.placement import masses_of_loads, with_placed_effect
 from mphygs.model.belief import Belief
-from mphygs.model.registry import effect
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.scope import belief_of_sequence, in_scope, is_absent, stated_weights
 
@@ -26,7 +24,7 @@ SIGMA = 1e-4  # [m]
 MASS = 4e-3  # [kg]
 TIP = np.array([[0.05, 0.0, 0.0], [0.06, 0.02, 0.02]])
 HUNG = Load(TIP, np.array([0.0, 0.0, -9.81 * MASS]), 0)
-SPACING, WEIGHT = 0.01, effect("attached_mass")
+SPACING = 0.01
 
 
 def two_recordings(*, frames: int = 16, rest: str = "equilibrium", load: Load = HUNG) -> Capture:
@@ -44,10 +42,6 @@ def stiff_bar(capture: Capture, **changes: object) -> Belief:
 
 def with_weight(belief: Belief, capture: Capture, mass: float) -> Belief:
     return belief.with_effect("attached_mass", {"m": mass}, masses_of_loads(capture, ["a", "b"])[0])
-
-
-def hung_trials(capture: Capture, belief: Belief, sequences: list[str]) -> list[Trial]:
-    return list(hung(belief, WEIGHT, capture, sequences))
 
 
 def simulated(capture: Capture, belief: Belief, name: str, transfer: str = "total-lagrangian") -> np.ndarray:
@@ -68,7 +62,7 @@ def test_one_mass_for_alike_loads_of_several_sequences() -> None:
     np.testing.assert_allclose(second["place"], [0.035, 0.01, 0.01])
     assert all(s["weight"] is False and s["at_rest"] is False for s in (first, second))
     assert masses_of_loads(capture, ["a"]) == []
-    assert hung_label(WEIGHT, first) == "attached_mass, the load of b, c"
+    assert hung_label(first) == "attached_mass, the load of b, c"
 
 
 def test_a_box_wider_than_the_object_counts_as_far_as_the_object_goes() -> None:
@@ -90,6 +84,7 @@ def test_trials_weigh_what_the_load_weighs() -> None:
     for trial in trials:
         assert (trial.effect, trial.label) == ("attached_mass", "attached_mass, the load of b")
         assert stated_weights(trial.belief) == ("attached_mass",)
+    assert hung_trials(capture, trials[0].belief, ["a", "b"]) == []
     assert hung_trials(capture, belief, ["a"]) == []
     assert hung_trials(capture, replace(belief, gravity=np.zeros(3)), ["b"]) == []
 

@@ -16,6 +16,11 @@ from mphygs.compare.verdict_floor import Floor, floor_test
 # Two bodies discretised differently agree to a few tenths of a standard deviation at best: a misfit of
 # this many sigma, everywhere, is no reason to doubt the physics (spec: 1.1, of which noise is 1).
 PRACTICAL_FLOOR = 1.1
+# What the floor test may excuse beyond it, and no more.
+LARGEST_EXCUSED = 1.5 * PRACTICAL_FLOOR
+# Where a refinement has shown the discretisation's share: what it does not cover is, in every range, no more
+# than this many sigma, noise included, and the misfit no more than the second number.
+BUDGET_FLOOR, LARGEST_GRID_ERROR = 1.15, 5.0
 # How far a coordinate that the fitted frames leave open gives way to the discretisation's error: a factor e.
 GIVES_WAY = 1.0
 # Of the test of the floor.
@@ -186,8 +191,14 @@ def assess(
     worst = max(v for ranges in found.values() for v in ranges.values())
     share = _grid_share(whitened)
     budget = _budget(whitened, share)
+    # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
+    # range: fitted frames may not pay for what unseen ones show.
+    beyond = [
+        float(np.mean(whitened.residual[rows] ** 2) - np.mean(share[rows] ** 2)) for rows in _ranges(whitened)
+    ]
+    own = np.any(whitened.refinement) and max(beyond) <= BUDGET_FLOOR**2 and worst < LARGEST_GRID_ERROR
     return Assessment(
-        adequate=bool(worst <= PRACTICAL_FLOOR or floor.reached),
+        adequate=bool(worst <= PRACTICAL_FLOOR or (floor.reached and worst <= LARGEST_EXCUSED) or own),
         p_value=floor.p_value,
         ratio=found,
         floor=floor,

@@ -15,6 +15,7 @@ import tyro
 
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, plain, run
 from mphygs.diagnose.document import advice, diagnosis_text, ranking_document
+from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.missing_force_document import (
     Unexplained,
     keep_missing_force,
@@ -23,9 +24,8 @@ from mphygs.diagnose.missing_force_document import (
     with_plugin_in,
 )
 from mphygs.diagnose.next_motion import Proposed
-from mphygs.diagnose.propose import proposals
-from mphygs.diagnose.ranking import Ranking, ranking_of
-from mphygs.diagnose.scan import scan
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.kept import (
     Kept,
@@ -35,14 +35,13 @@ from mphygs.extend.kept import (
     state_of_ranking,
     write_kept,
 )
-from mphygs.extend.rounds import assimilated
 from mphygs.extend.separate import motions_to_record
-from mphygs.extend.step import Step
+from mphygs.extend.step import Step, excess
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
-from mphygs.fit.schedule import deciding_spacing, default_spacing, screening_spacing
+from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.tables import parameters_of
 from mphygs.model.registry import effects
 from mphygs.simulate.settings import check_effects
@@ -129,10 +128,11 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         experiment,
         belief,
         trying,
-        fine=deciding_spacing(experiment.capture) if usual else None,
         seed=state.seed,
         names=candidates,
         start=steps,
+        screening=usual,
+        final=False,
         report=console.say,
         on_step=on_step,
     )
@@ -143,7 +143,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         if found.rankings:
             ranking = found.rankings[0]
         else:
-            ranking = _ranking(experiment, found.steps[-1], trying, state.seed, candidates, console)
+            ranking = _ranking(experiment, steps[0], spacing, state.seed, candidates, console)
         entries, drift = ranking_entries(found.steps, ranking, experiment), drift_entries(ranking)
     missing = None
     if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
@@ -190,54 +190,32 @@ def _ranking(
     console: Console,
 ) -> Ranking:
     """The scores beside a model that needs nothing: how little would have been seen."""
-    beside = assimilated(experiment, step.belief, spacing, say=console.say)
-    problem = experiment.problem(spacing).under(beside.gain)
-    evaluation = beside.solution.evaluation
-    ways, trials = proposals(experiment, problem, beside.belief, evaluation, names=candidates)
-    found = scan(
-        experiment, problem, beside.belief, evaluation, ways, trials,
-        generator=np.random.default_rng((seed, 0)), report=console.say,
-    )  # fmt: skip
-    return ranking_of(found, beside.belief)
+    evaluation = step.solution.evaluation
+    return rank(
+        experiment,
+        step.belief,
+        evaluation,
+        spacing,
+        generator=np.random.default_rng((seed, 0)),
+        names=candidates,
+        allowance=allowance_of(experiment, spacing, step.belief, evaluation),
+        report=console.say,
+    )
 
 
 def ranking_entries(
     steps: Sequence[Step], ranking: Ranking, experiment: Experiment
 ) -> list[dict[str, object]]:
-    """A ranking's candidates as JSON, those first that were refitted for the first of the steps, the one that
-    was added before all others."""
+    """A ranking's candidates as JSON, those first that were refitted for the first of the steps."""
     sigma = float(np.sqrt(np.mean([o.sigma**2 for o in experiment.observations.values()])))
-    first = next((step for step in steps if step.table), None)
+    first = next((step for step in steps if step.refits), None)
     refitted, ties = {}, {}
     if first is not None:
         best = first.added[0]
-        rows = [row for row in first.table if row["gain"] is not None]
-        order = sorted(rows, key=lambda row: (row["effect"] != best, -row["gain"]))
-        refitted = {row["effect"]: float(row["gain"]) for row in order}
+        order = sorted(first.refits, key=lambda r: (r.entry.effect != best, excess(r.assessment)))
+        refitted = {r.entry.effect: float(r.actual_drop) for r in order}
         ties = {best: first.ties}
     return ranking_document(ranking, sigma, refitted=refitted, ties=ties)
-
-
-def path_of(steps: Sequence[Step]) -> list[dict[str, object]]:
-    """The models of a loop one after the other, with the error that each leaves [sigma]."""
-    path, inside = [], []
-    for step in steps:
-        inside = [name for name in (*inside, *step.added) if name not in step.dropped]
-        ratio = step.assessment.ratio.values()
-
-        def largest(label: str, ratio: object = ratio) -> float | None:
-            return max((r[label] for r in ratio if label in r), default=None)
-
-        path.append(
-            {
-                "effects": list(inside),
-                "added": list(step.added),
-                "fitted": largest("fit"),
-                "unseen": largest("predict"),
-                "p_value": step.assessment.p_value,
-            }
-        )
-    return path
 
 
 def drift_entries(ranking: Ranking) -> list[dict[str, object]]:
@@ -261,8 +239,6 @@ def diagnosis_document(
         "ranking": list(entries),
         "missing_force": None if missing is None else missing.document(),
         "drift": list(drift),
-        "table": list(found.table),
-        "path": path_of(found.steps),
         "advice": advice(found.verdict, found.effects, entries, found.warnings, motions=motions),
     }
 

@@ -45,6 +45,7 @@ def ranking_document(
             "detectable": dict(entry.detectable),
             "where": [spot.document() for spot in entry.spots],
             "refitted": actual.get(entry.effect),
+            "stands_out": entry.stands_out,
         }
         for entry in entries
     ]

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from mphygs.diagnose.scan import Scan
+from mphygs.diagnose.decoys import DecoyCheck
 from mphygs.diagnose.score_table import ScoreTable
 from mphygs.diagnose.spots import Spot
 from mphygs.model.belief import Belief
@@ -21,7 +19,7 @@ class Entry:
     """One effect in its best way.
 
     start: belief to refit from; others: beliefs that a refit starts from as well; statistic: predicted
-    (trial: actual) drop of chi^2; detectable: of a
+    (trial: actual) drop of chi^2; stands_out: share of decoys at least as significant; detectable: of a
     parameter alone the smallest size that would have been found, in its unit; spots: where and when it is
     wanted most.
     """
@@ -38,6 +36,7 @@ class Entry:
     confounded_with: tuple[str, ...] = ()
     reason: str = ""
     detectable: Mapping[str, float] = field(default_factory=dict)
+    stands_out: float | None = None
     others: tuple[Belief, ...] = ()
     spots: tuple[Spot, ...] = ()
 
@@ -45,33 +44,13 @@ class Entry:
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """entries: best first, one per effect; chi_square, rows: of fitted frames; table: of all smooth ways;
-    drift: fitted coordinates that would have to change for a while, and where."""
+    decoys: how effects that do nothing score on the same data; decoy_statistic: the largest drop of chi^2
+    that one of them predicts; drift: fitted coordinates that would have to change for a while, and where."""
 
     entries: tuple[Entry, ...]
     chi_square: float
     rows: int
     table: ScoreTable | None
+    decoys: DecoyCheck | None = None
+    decoy_statistic: float = 0.0
     drift: tuple[Spot, ...] = ()
-
-
-def ranking_of(scan: Scan, belief: Belief) -> Ranking:
-    """A scan as a ranking: one entry an effect, the best first."""
-    entries = [
-        Entry(
-            s.effect,
-            s.label,
-            s.kind,
-            max(s.drop, 0.0),
-            s.p_value if np.isfinite(s.p_value) else 1.0,
-            float(np.sqrt(max(scan.chi_square - s.drop, 0.0) / max(scan.rows, 1))),
-            dict(s.estimate),
-            dict(s.std),
-            s.start or belief,
-            s.alike,
-            reason=s.struck or "",
-            detectable=s.detectable,
-            spots=() if s.tangent is None else scan.spots.of_columns(s.tangent, s.labels),
-        )
-        for s in scan.by_effect()
-    ]
-    return Ranking(tuple(entries), scan.chi_square, scan.rows, scan.table, scan.drift)

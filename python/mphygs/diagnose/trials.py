@@ -1,121 +1,93 @@
-"""Finite trials of what a derivative at the null says nothing of, or little: thresholds, what is felt over
-decades, weights of known loads. Planes that a body may have met are searched for
-(`mphygs.diagnose.planes`)."""
+"""Threshold effects and shape-like parameters: finite trials, and the law of the best of them.
+
+A trial changes the prediction by d = h(trial) - h(null). With the fitted parameters giving way it changes
+chi² by 2 dᵀPr - dᵀPd; nothing is scaled, since a yield stress or a relaxation time has no amplitude.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
 
-from mphygs.capture.format import Capture
-from mphygs.diagnose.planes import Plane
-from mphygs.diagnose.ways import hung_label, levels, missing, strengths
-from mphygs.fit.placement import weights_of_loads
-from mphygs.model.belief import Belief
-from mphygs.model.descriptor import EffectSpec
+from mphygs.compare.allowance import Allowance
+from mphygs.compare.projection import RANK_TOLERANCE, project_out
+from mphygs.diagnose.score import MAXIMUM_ABSORBED
 
-# Values of a threshold's level, and of a strength that is tried over decades.
-THRESHOLDS, DECADES = 13, 5
-# Of a threshold that says nothing of where it is tried, times its usual size.
-ABOUT = (0.1, 0.3, 1.0, 3.0)
-# Of the mass whose weight a known load is.
-MASS_SHARES = (0.5, 1.0)
-# Standard deviation of the logarithm of a level that was tried; of a direction's components.
-LEVEL_PRIOR, DIRECTION_PRIOR = 2.0, 0.5
+Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A belief with an effect at a finite value. label: what was tried."""
+@dataclass(frozen=True, kw_only=True)
+class TrialScores:
+    """Outcome of G trials of one effect.
 
-    effect: str
-    label: str
-    belief: Belief
-
-
-def trials_of(
-    belief: Belief,
-    capture: Capture,
-    transfer: str,
-    sequences: Sequence[str],
-    planes: Sequence[Plane] = (),
-    *,
-    names: Sequence[str] | None = None,
-) -> list[Trial]:
-    """All trials of effects that a belief lacks. planes: that the body may have met; sequences: fitted."""
-    found: list[Trial] = []
-    for spec in missing(belief, transfer, names):
-        if spec.site == "hold" and not any(s.held for s in capture.sequences):
-            continue
-        if spec.of_role("offset"):
-            found += (met(belief, spec, plane) for plane in planes)
-        elif spec.threshold:
-            found += _thresholds(belief, spec)
-        elif not spec.scanned and not spec.settings:
-            found += _over_decades(belief, spec)
-        if spec.site == "mass":
-            found += hung(belief, spec, capture, sequences)
-    return found
-
-
-def _thresholds(belief: Belief, spec: EffectSpec) -> Iterator[Trial]:
-    scanned = [p for p in spec.of_role("level") if p.fitted] or [
-        p for p in spec.of_role("strength") if p.fitted
-    ]
-    usual = {name: next(p.scale for p in spec.parameters if p.name == name) for name in strengths(spec)}
-    for p in scanned:
-        known = levels(p, THRESHOLDS) if p.scan else [k * p.scale for k in ABOUT]
-        for value in known:
-            there = belief.with_effect(spec.name, usual | {p.name: value})
-            own = there[f"{spec.name}.{p.name}"]
-            if own.log:
-                there = there.with_parameter(own.key, prior_mean=float(np.log(value)), prior_std=LEVEL_PRIOR)
-            yield Trial(spec.name, f"{spec.name}, {p.name} {value:.3g} {p.unit}", there)
-
-
-def _over_decades(belief: Belief, spec: EffectSpec) -> Iterator[Trial]:
-    """A soft hold, say, passes for soft material: fitted with a rigid one, it leaves the derivative little to
-    say."""
-    for p in spec.of_role("strength"):
-        if p.fitted and p.range[1] > p.range[0]:
-            for value in levels(p, DECADES):
-                there = belief.with_effect(spec.name, {p.name: value})
-                yield Trial(spec.name, f"{spec.name} {value:.3g} {p.unit}", there)
-
-
-def hung(belief: Belief, spec: EffectSpec, capture: Capture, sequences: Sequence[str]) -> Iterator[Trial]:
-    """Known loads taken for what they most often are: weights that hang on the object, inertia and all.
-
-    A load may weigh as much as what carries it. A derivative where it has no mass says little then.
+    drops: (G,) predicted drop of chi², negative where the trial makes it worse. best: index of the largest.
+    p_value: chance of a best drop at least as large under the null.
+    absorbed: (G,) share of each change that the fitted parameters absorb; testable: (G,) whether it can be
+    told. shifts: (p, G) change of the fitted parameters that goes with each trial.
     """
-    gravity = float(np.linalg.norm(belief.gravity))
-    if gravity == 0.0:
-        return
-    (strength,) = strengths(spec)
-    for load, settings in weights_of_loads(capture, sequences):
-        mass = float(np.linalg.norm(load.force)) / gravity
-        for share in MASS_SHARES:
-            yield Trial(
-                spec.name,
-                hung_label(spec, settings),
-                belief.with_effect(spec.name, {strength: share * mass}, settings),
-            )
+
+    drops: Array
+    best: int
+    p_value: float
+    absorbed: Array
+    testable: NDArray[np.bool_]
+    shifts: Array
+
+    @property
+    def drop(self) -> float:
+        """Of the best trial, 0 when none helps."""
+        return max(float(self.drops[self.best]), 0.0)
 
 
-def met(belief: Belief, spec: EffectSpec, plane: Plane) -> Trial:
-    """A plane that is met, its place, direction and strengths free."""
-    (offset,) = spec.of_role("offset")
-    normal = {p.name: x for p, x in zip(spec.of_role("direction"), plane.normal, strict=True)}
-    slight = {p.name: p.range[0] for p in spec.of_role("strength") if p.fitted}
-    there = belief.with_effect(spec.name, {offset.name: plane.offset} | slight | normal)
-    for name, value in normal.items():
-        # Only the direction counts; the prior keeps its length.
-        there = there.with_parameter(
-            f"{spec.name}.{name}", free=True, scale=0.1, prior_mean=value, prior_std=DIRECTION_PRIOR
-        )
-    for p in spec.of_role("strength"):
-        if p.fitted:
-            there = there.with_parameter(f"{spec.name}.{p.name}", prior_mean=p.scale, prior_std=2.0 * p.scale)
-    return Trial(spec.name, plane.label, there)
+def score_trials(
+    residual: Array,
+    jacobian: Array,
+    changes: Array,
+    *,
+    generator: np.random.Generator,
+    allowance: Allowance | None = None,
+    draws: int = 4000,
+    rank_tolerance: float = RANK_TOLERANCE,
+) -> TrialScores:
+    """Best trial and its p-value, the choice among trials taken into account.
+
+    residual: (N,), jacobian: (N, p), changes: (N, G), whitened. The maximum is simulated under the null;
+    where too few draws reach it, the union bound over trials takes over. Raises ValueError without trials or
+    on non-finite changes.
+    """
+    if changes.ndim != 2 or changes.shape[1] == 0 or len(changes) != len(residual):
+        raise ValueError(f"trials of shape {changes.shape}: expected ({len(residual)}, at least one)")
+    if not np.all(np.isfinite(changes)):
+        raise ValueError(f"trial {int(np.argmin(np.isfinite(changes).all(0)))}: expected finite changes")
+    allowance = allowance or Allowance()
+    projection = project_out(allowance.apply_jacobian(jacobian), rank_tolerance=rank_tolerance)
+    weighted = allowance.apply(changes)
+    left = projection.remaining(weighted)
+    gram = left.T @ left
+    power = np.diag(gram)
+    total = (weighted**2).sum(0)
+    absorbed = np.where(total > 0.0, 1.0 - power / np.where(total > 0.0, total, 1.0), 1.0)
+    testable = absorbed < MAXIMUM_ABSORBED
+    drops = 2.0 * (left.T @ allowance.apply(residual)) - power
+    best = int(np.argmax(np.where(testable, drops, -np.inf)))
+    shifts = -projection.absorbing(weighted)[: jacobian.shape[1]]
+    p_value = 1.0
+    if testable[best] and drops[best] > 0.0:
+        p_value = _best_p_value(float(drops[best]), gram[np.ix_(testable, testable)], generator, draws)
+    return TrialScores(
+        drops=drops, best=best, p_value=p_value, absorbed=absorbed, testable=testable, shifts=shifts
+    )
+
+
+def _best_p_value(drop: float, gram: Array, generator: np.random.Generator, draws: int) -> float:
+    values, vectors = np.linalg.eigh(gram)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    power = np.diag(gram)
+    # Under the null dᵀPr is normal with covariance dᵀPd.
+    maxima = (2.0 * generator.standard_normal((draws, len(power))) @ root.T - power).max(1)
+    simulated = (1.0 + np.count_nonzero(maxima >= drop)) / (1.0 + draws)
+    union = float(norm.sf((drop + power) / (2.0 * np.sqrt(power))).sum())
+    return min(simulated, union, 1.0)

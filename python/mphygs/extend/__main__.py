@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import tyro
 
 from mphygs.claim import claim, clear
@@ -86,8 +87,9 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
         if number + 1 < len(steps):
             continue
         console.progress(number / len(wanted), f"adding {name}")
+        generator = np.random.default_rng((state.seed, number))
         step, paying = add_named(
-            experiment, steps[-1], name, spacing, seed=(state.seed, number), report=console.say
+            experiment, steps[-1], name, spacing, generator=generator, report=console.say
         )
         steps.append(step)
         done.tell(step, experiment, more={"pays": paying})

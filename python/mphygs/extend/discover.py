@@ -1,52 +1,59 @@
-"""The whole loop: assimilate, score, refit, judge, release; until the error is explained or nothing pays."""
+"""The whole loop: fit, compare, diagnose, extend, until the error is explained or nothing known does so."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.compare.roughness import doubted_sigma
-from mphygs.diagnose.criteria import CRITERIA, Criteria
 from mphygs.diagnose.outliers import bad_observations
-from mphygs.diagnose.ranking import Ranking, ranking_of
-from mphygs.extend.contend import FAILURES, Contender, predictive
-from mphygs.extend.rounds import (
-    Beside,
-    Round,
-    assimilated,
-    gains_of,
-    held_round,
-    simplest,
-    table_of,
-)
-from mphygs.extend.step import FAULT, Step, excess, from_grid_to_grid, known_budget
+from mphygs.diagnose.ranking import Ranking
+from mphygs.extend.anew import anew
+from mphygs.extend.exchange import exchanged
+from mphygs.extend.finer import compared_at
+from mphygs.extend.grids import finely, polished, refined, with_budget
+from mphygs.extend.narrow import narrowed
+from mphygs.extend.probe import probed
+from mphygs.extend.prune import pruned
+from mphygs.extend.ranked import ranked
+from mphygs.extend.readmit import readmitted
+from mphygs.extend.reconcile import reconciled
+from mphygs.extend.refit import AT_FLOOR
+from mphygs.extend.refits import refits_of
+from mphygs.extend.settle import choose, settled, step_of
+from mphygs.extend.simplest import among_all, explains, without_loads
+from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
+from mphygs.extend.window import HALF, passed_on_the_way
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, minimise
-from mphygs.fit.schedule import simulable
-from mphygs.fit.side_by_side import side_by_side
+from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.schedule import FINE, Stage, deciding_spacing, fit_belief, plan_of, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
+# Effects in a model; steps of the loop, exchanges included. A second one that leaves most of what was left
+# is not followed by a third.
+LARGEST_MODEL, LONGEST = 3, 8
+# An effect that leaves more than this share of the excess over noise and does not reach the floor is not
+# what is missing: some effect always bends the curve a little.
+TOO_LITTLE = 0.8
 # So much of the noise or less in every range says that the noise is stated too large.
 FAR_LESS = 0.5
-# Iterations of what is decided on, and of what is concluded.
-DECIDING, CONCLUDING = 4, 8
 
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """verdict: adequate, missing, unknown or measurement; effects: concluded, most certain first; table: one
-    row a candidate of the last round."""
+    """verdict: adequate, missing, unknown or measurement; effects: concluded, most certain first."""
 
     verdict: str
     effects: tuple[str, ...]
     steps: tuple[Step, ...]
     rankings: tuple[Ranking, ...]
     warnings: tuple[str, ...] = field(default_factory=tuple)
-    table: tuple[dict, ...] = ()
 
 
 def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
@@ -54,15 +61,14 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
     total = 0
     for name, item in compared.items():
         first, last = item.frames
-        residual = item.observation.position * float("nan")
+        residual = np.full_like(item.observation.position, np.nan)
         residual[first:last] = item.observation.position[first:last] - item.predicted[first:last]
         markers = experiment.capture.sequence(name).markers
         bad = bad_observations(residual, markers.at, item.observation.sigma)
         # Frames outside the compared ranges keep what they have.
         count = int((bad & item.observation.observed).sum())
         if count:
-            position = item.observation.position.copy()
-            position[bad] = float("nan")
+            position = np.where(bad[..., None], np.nan, item.observation.position)
             experiment.observations[name] = Observation(
                 position, item.observation.noise, item.observation.weight
             )
@@ -70,118 +76,41 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
     return total
 
 
-@dataclass(frozen=True)
-class Grids:
-    """Spacings [m]. trying: of the grid on which many models are tried; deciding: of the one that decides."""
-
-    trying: float
-    deciding: float
-
-
-def settled(
+def first_fit(
     experiment: Experiment,
     belief: Belief,
-    grids: Grids,
+    spacing: float,
     *,
-    iterations: int = DECIDING,
-    jacobian: bool = False,
-) -> tuple[Solution, dict[str, Compared]]:
-    """A free fit on the grid that decides, led by Jacobians of the coarse one. Raises SimulationError."""
-    problem = experiment.problem(grids.deciding)
-    lender = experiment.problem(grids.trying) if grids.deciding < grids.trying else None
-    solution = minimise(
-        problem, simulable(problem, belief), iterations=iterations, relative_tolerance=3e-4, lender=lender
+    report: Callable[[str], None] | None = None,
+    warm: bool = False,
+) -> Step:
+    """Fit a model and compare it."""
+    for name in experiment.fitted:
+        experiment.predictor(name, spacing)
+    plan = plan_of(experiment.capture, spacing, warm=warm, screening=True)
+    passed: dict[float, Solution] = {}
+
+    def after_stage(stage: Stage, solution: Solution) -> None:
+        if stage.spacing == spacing:
+            passed[stage.share] = solution
+
+    solution, _ = fit_belief(
+        experiment.capture,
+        experiment.starting(belief),
+        experiment.fitted,
+        experiment.observations,
+        replace(experiment.settings, spacing=spacing),
+        report=report,
+        problems=experiment.problems,
+        warm=warm,
+        plan=plan,
+        after_stage=after_stage,
     )
-    return solution, experiment.compare(solution.belief, grids.deciding, jacobian=jacobian)
-
-
-def told(
-    experiment: Experiment,
-    solution: Solution,
-    coarse: Belief | None,
-    grids: Grids,
-    *,
-    added: Sequence[str] = (),
-    ties: Sequence[str] = (),
-    table: tuple[dict, ...] = (),
-) -> Step:
-    """A free model on the grid that decides as a step, the discretisation's share measured for it."""
-    fine = grids.deciding
-    beside = grids.trying if grids.trying > fine else None
-    compared = experiment.compare(solution.belief, fine, refine=True, beside=beside)
-    moved = {} if coarse is None else from_grid_to_grid(coarse, solution.belief, grids.trying / fine)
-    return Step(
-        solution.belief, solution, compared, experiment.assess(compared), fine, tuple(added), tuple(ties),
-        beside=beside, moved=moved, table=table, gain=0.0,
-    )  # fmt: skip
-
-
-def is_free(beside: Beside, criteria: Criteria) -> bool:
-    """Whether a model is near the data without feedback."""
-    return beside.gain == 0.0 and beside.predictive.misfit[0] < criteria.near
-
-
-def step_of(
-    experiment: Experiment, beside: Beside, grids: Grids, criteria: Criteria, **more: object
-) -> Step:
-    """A model as it is told: free; on the grid that decides where it is near the data without feedback."""
-    if is_free(beside, criteria):
-        solution, _ = settled(experiment, beside.belief, grids)
-        return told(experiment, solution, beside.belief, grids, **more)
-    solution = beside.solution
-    try:
-        compared = experiment.compare(solution.belief, grids.trying)
-    except FAILURES:
-        # What cannot run free is told as it is under feedback.
-        compared = experiment.compare(solution.belief, grids.trying, gain=beside.gain)
-    return Step(
-        solution.belief, solution, compared, experiment.assess(compared), grids.trying, gain=beside.gain,
-        **more,
-    )  # fmt: skip
-
-
-def decided(
-    experiment: Experiment,
-    round_: Round,
-    grids: Grids,
-    criteria: Criteria,
-    say: Callable[[str], None],
-) -> Step | None:
-    """The winner of a round, free, on the grid that decides; None where there is none."""
-    finalists = round_.finalists
-    if not finalists:
-        return None
-    if not round_.free:
-        # More is missing: only feedback tells them apart.
-        scores = [(t.belief, t.effect, t.predictive) for t in finalists]
-        number, ties = simplest(scores, criteria.grid, criteria)
-        t = finalists[number]
-        return step_of(
-            experiment, Beside(t.solution, t.predictive, round_.beside.gain), grids, criteria,
-            added=(t.effect,), ties=ties, table=table_of(round_, t.effect, ties),
-        )  # fmt: skip
-
-    def settle(own: Experiment, t: Contender) -> tuple[Solution, dict[str, Compared]] | str:
-        try:
-            return settled(own, t.free.belief, grids)
-        except FAILURES as error:
-            return str(error).splitlines()[0]
-
-    done = side_by_side(experiment, settle, finalists)
-    running = [(t, d) for t, d in zip(finalists, done, strict=True) if not isinstance(d, str)]
-    if not running:
-        return None
-    scores = [(d[0].belief, t.effect, predictive(d[1], criteria)) for t, d in running]
-    for _, name, score in scores:
-        say("  {} on the grid that decides: {:.3f} sigma fitted, {:.3f} unseen".format(name, *score.misfit))
-    # The error falls with the square of the spacing, its square with the fourth power.
-    share = max(round_.share, criteria.grid) * (grids.deciding / grids.trying) ** 4
-    number, ties = simplest(scores, share, criteria)
-    t, (solution, _) = running[number]
-    return told(
-        experiment, solution, t.free.belief, grids,
-        added=(t.effect,), ties=ties, table=table_of(round_, t.effect, ties),
-    )  # fmt: skip
+    compared = compared_at(experiment, solution.belief, spacing)
+    step = Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
+    before = [fit.evaluation.misfit for share, fit in passed.items() if share < HALF]
+    half = passed[HALF].belief if HALF in passed else None
+    return replace(step, halfway=passed_on_the_way(half, before))
 
 
 def discover(
@@ -189,152 +118,168 @@ def discover(
     belief: Belief,
     spacing: float,
     *,
-    fine: float | None = None,
     seed: int = 0,
     names: Sequence[str] | None = None,
     start: Sequence[Step] = (),
-    criteria: Criteria = CRITERIA,
+    screening: bool = False,
+    final: bool = True,
     report: Callable[[str], None] | None = None,
     on_step: Callable[[Step, Sequence[Ranking]], None] | None = None,
 ) -> Discovery:
     """Find what is missing from a model of a capture.
 
-    belief: the model to start from, not yet fitted; spacing: of the grid on which many models are tried; what
-    is concluded stands on a finer one, `fine` [m] (None: the same); names: effects that may be added (None:
-    all); start: steps that are done already, the first model the first of them; on_step: told every new step,
-    and the rankings so far, as soon as it is done.
+    belief: the model to start from, not yet fitted; names: effects that may be added (None: all);
+    start: steps that are done already, the first model's fit the first of them; screening: the spacing is
+    only for trying many models, and models near the floor are asked again on the deciding grid; final:
+    whether what is concluded is told, or gone on from; on_step: told every new step, and the rankings so far,
+    as soon as it is done.
     Raises SimulationError when not even the first model can be simulated.
     """
-    say = report or (lambda _text: None)
-    grids = Grids(spacing, spacing if fine is None else min(fine, spacing))
-    steps, rankings = list(start), []
-    table: tuple[dict, ...] = ()
+    say, coarse = report or (lambda _text: None), spacing
+    steps = list(start) or [first_fit(experiment, belief, spacing, report=report)]
+    rankings: list[Ranking] = []
+    warnings: list[str] = []  # of the round that goes on
 
     def done(step: Step) -> None:
-        steps.append(step)
-        what = ", ".join(step.added) or "the first model"
-        say(f"{what}: {step.assessment.worst:.3f} sigma in the worst range")
+        steps.append(replace(step, warnings=(*warnings, *step.warnings)))
+        warnings.clear()
         if on_step:
-            on_step(step, rankings)
+            on_step(steps[-1], rankings)
 
-    def begun(step: Step | None) -> Beside:
-        """A model beside the measurement, from its step alone: a loop that was stopped goes on as if it had
-        not been."""
-        for problem in experiment.problems.values():
-            for predictor in problem.predictors.values():
-                predictor.forget()
-        start = belief if step is None else step.belief
-        first = gains_of(experiment)[0] if step is None else step.gain
-        start = simulable(experiment.problem(spacing).under(first), start)
-        return assimilated(experiment, start, spacing, first=first, criteria=criteria, say=say)
+    if on_step and not start:
+        on_step(steps[0], rankings)
 
-    masks = names is None or FAULT in names
-    masks = masks and not any(FAULT in step.added for step in steps)
-    now = begun(steps[-1] if steps else None) if masks or not steps else None
-    if masks:
-        compared = experiment.compare(now.belief, spacing, jacobian=False, gain=now.gain)
-        count = mask_outliers(experiment, compared)
-        if count:
-            if not steps:
-                # As it was with them, to show what leaving them out brings.
-                before = experiment.compare(now.belief, spacing)
-                done(Step(now.belief, now.solution, before, experiment.assess(before), spacing))
-            say(f"{count} measurements do not move with their neighbours: left out as {FAULT}")
-            experiment.problems.clear()
-            now = assimilated(experiment, now.belief, spacing, criteria=criteria, say=say)
-            done(step_of(experiment, now, grids, criteria, added=(FAULT,)))
-            now = None
-    if not steps:
-        done(step_of(experiment, now, grids, criteria))
-        now = None
-    while not steps[-1].explained and len(steps[-1].belief.terms) < criteria.largest_model:
+    def without_bad_tracks() -> None:
+        """One more step where tracks are bad; looked for anew as long as none was found."""
+        current = steps[-1]
+        allowed = names is None or FAULT in names
+        known = any(FAULT in step.added for step in steps)
+        if known or not allowed or current.assessment.adequate:
+            return
+        left_out = mask_outliers(experiment, current.compared)
+        if not left_out:
+            return
+        say(f"{left_out} measurements do not move with their neighbours: left out as {FAULT}")
+        experiment.problems.clear()
+        after = first_fit(experiment, current.belief, current.spacing, report=report, warm=True)
+        done(replace(after, added=(FAULT,)))
+
+    def judged(step: Step) -> Step:
+        """The step, asked for all frames where only unseen ones are off, on the grid that decides."""
+        if screening and step.spacing > FINE * deciding_spacing(experiment.capture):
+            return step
+        after = reconciled(experiment, step, report)
+        if not after.reconciled:
+            return after
+        text = (
+            f"{' + '.join(after.added) or 'first model'}: fitted to all frames it explains them; what "
+            "it misses of unseen frames is what the fitted ones leave open"
+        )
+        return replace(after, warnings=(*after.warnings, text))
+
+    without_bad_tracks()
+    # What was found before a loop was stopped was asked all this then.
+    fresh = all(set(step.added) <= {FAULT} for step in steps)
+    if fresh:
+        steps[-1] = judged(refined(experiment, steps, report, screening=screening))
+    simple = without_loads(experiment)
+    if simple and fresh and not steps[-1].explained:
+        say(f"first {', '.join(simple)}: no load pulls there")
+        inner = experiment.only(simple)
+        alone = discover(
+            inner, belief, spacing, seed=seed, names=names, screening=screening, final=False, report=report
+        )
+        experiment.problems.clear()  # bad tracks may have been left out
+        rankings.extend(alone.rankings)
+        warnings.extend(alone.warnings)
+        among = []
+        for step in alone.steps[1:]:
+            try:
+                among.append(among_all(experiment, steps[0].belief, step))
+            except SimulationError as error:
+                say(f"{', '.join(step.added)}, for all recordings: {error}")
+                break
+        for step in among:  # told only now: a loop that is stopped has all of them or none
+            done(step)
+    while not steps[-1].explained and len(steps[-1].belief.terms) < LARGEST_MODEL:
         if names is not None and set(names) <= set(steps[-1].belief.effects):
             break
-        now = now or begun(steps[-1])
-        if steps[-1].spacing > grids.deciding and is_free(now, criteria):
-            # What is near the data on the coarse grid is asked on the one that decides.
-            better = step_of(experiment, now, grids, criteria, added=steps[-1].added, ties=steps[-1].ties)
-            steps[-1] = replace(better, table=steps[-1].table, warnings=steps[-1].warnings)
-            now = None
-            continue
-        round_ = held_round(
-            experiment,
-            now,
-            spacing,
-            fine=grids.deciding,
-            seed=(seed, len(steps)),
-            names=names,
-            criteria=criteria,
-            say=say,
-        )
-        rankings.append(ranking_of(round_.scan, now.belief))
-        step = decided(experiment, round_, grids, criteria, say)
-        if step is None:
-            say("nothing that is known pays for its numbers")
-            table = table_of(round_)
+        if not simple and leaves_most(steps):
+            say(f"{', '.join(steps[-1].added)}: leaves most of what was left; no further effect is tried")
             break
-        if known_budget(steps[-1]) and excess(step.assessment) > excess(steps[-1].assessment):
-            say(f"{', '.join(step.added)}: leaves more than before")
-            table = table_of(round_)
+        current = steps[-1]
+        if screening:
+            current = probed(experiment, current, coarse, report, simple=simple)
+        spacing = current.spacing
+        experiment.whole = simple if simple and explains(current, simple) else ()
+        # Every step draws its own numbers: a loop that was stopped goes on as if it had not been.
+        generator = np.random.default_rng((seed, len(steps)))
+        window, afar, ranking = ranked(
+            experiment, current, spacing, generator, names=names, report=report
+        )
+        rankings.append(ranking)
+        for entry in ranking.entries[:6]:
+            say(
+                f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, "
+                f"p {entry.p_value:.2g}"
+            )
+        finished = refits_of(
+            experiment, current, window, ranking, spacing, generator, say, afar=afar
+        )
+        for r in finished:
+            if window[0] == 1.0 and r.surprising:
+                warnings.append(
+                    f"{r.entry.effect}: predicted drop of chi^2 {r.entry.statistic:.0f}, "
+                    f"actual {r.actual_drop:.0f}"
+                )
+        refits = [r for r in finished if r.pays] or [r for r in finished if r.may_pay]
+        if not refits:
+            break
+        best, rivals = choose(refits)
+        step = step_of(best, spacing, finished, window[0])
+        others = [step_of(r, spacing, (), window[0]) for r in rivals]
+        last = settled(experiment, steps, step, others, report, screening=screening)
+        earlier = [name for before in steps for name in before.added]
+        if simple or last.explained or not leaves_most([*steps, last]):
+            last = pruned(experiment, last, earlier, report)
+        step = judged(last)
+        if not best.pays and not step.explained:
+            say(f"{best.entry.effect}: does not pay on unseen frames")
+            break
+        if not step.explained and excess(step.assessment) > TOO_LITTLE * excess(steps[-1].assessment):
+            say(f"{', '.join(step.added)}: explains too little of what is left")
             break
         done(step)
-        now = None
-    if steps[-1].explained and len(steps[-1].belief.terms) > 1:
-        steps[-1] = without_superfluous(experiment, steps[-1], criteria, say)
-    if steps[-1].explained and steps[-1].added:
-        steps[-1] = concluded(experiment, steps[-1])
-    return _conclude(steps, rankings, table)
+        without_bad_tracks()
+    experiment.whole = ()
+    while len(steps) < LONGEST:
+        generator = np.random.default_rng((seed, len(steps)))
+        step = exchanged(experiment, steps, coarse, generator, names=names, report=report)
+        step = step and judged(step)
+        if step is None or not step.explained:
+            break
+        done(step)
+    if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
+        steps[-1] = readmitted(experiment, steps[-1], report)
+    if steps[-1].added and AT_FLOOR < steps[-1].assessment.worst <= EXPLAINED:
+        # Near the floor, not at it: the materials may be where a model without the effect had drawn them.
+        steps[-1] = anew(experiment, steps[-1], report)
+    if steps[-1].explained:
+        if screening and final:
+            steps[-1] = finely(experiment, steps[-1], report)
+        # What is concluded is told to its last digits, what was found with the grid's share of its errors.
+        steps[-1] = polished(experiment, steps[-1], report)
+        if steps[-1].added and not known_budget(steps[-1]):
+            coarser = screening_spacing(experiment.capture)
+            steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
+        steps[-1] = narrowed(experiment, steps[-1], report)
+    return _conclude(steps, rankings, warnings, final=final)
 
 
-def without_superfluous(
-    experiment: Experiment, step: Step, criteria: Criteria, say: Callable[[str], None]
-) -> Step:
-    """The step less the effects that are superfluous beside the others: without one the misfit hardly rises
-    (see `Criteria.negligible_rise`)."""
-    for term in step.belief.terms[:-1]:
-        problem = experiment.problem(step.spacing)
-        try:
-            less = minimise(
-                problem, step.belief.without_effect(term.name), iterations=DECIDING, relative_tolerance=3e-4
-            )
-        except SimulationError:
-            continue
-        rise = less.evaluation.chi_square - step.solution.evaluation.chi_square
-        rows = step.solution.evaluation.data_rows
-        if rise < criteria.negligible_rise * rows:
-            say(f"{term.name} is superfluous beside {', '.join(step.added)}")
-            compared = experiment.compare(less.belief, step.spacing, refine=True, beside=step.beside)
-            assessment = experiment.assess(compared)
-            after = replace(
-                step, belief=less.belief, solution=less, compared=compared, assessment=assessment,
-                dropped=(*step.dropped, term.name), moved={},
-            )  # fmt: skip
-            if after.explained:
-                step = after
-    return step
-
-
-def concluded(experiment: Experiment, step: Step) -> Step:
-    """The step fitted to its last digits."""
-    try:
-        solution = minimise(
-            experiment.problem(step.spacing), step.belief, iterations=CONCLUDING, relative_tolerance=1e-5
-        )
-        compared = experiment.compare(solution.belief, step.spacing, refine=True, beside=step.beside)
-    except SimulationError:
-        return step
-    after = replace(
-        step,
-        belief=solution.belief,
-        solution=solution,
-        compared=compared,
-        assessment=experiment.assess(compared),
-    )
-    return after if after.explained else step
-
-
-def _conclude(steps: list[Step], rankings: list[Ranking], table: tuple[dict, ...]) -> Discovery:
-    """What the steps come to, with what is to be said of the last one."""
+def _conclude(
+    steps: list[Step], rankings: list[Ranking], warnings: list[str], *, final: bool = True
+) -> Discovery:
+    """What the steps come to; final: with what is to be said of the last one."""
     last = steps[-1]
     added: list[str] = []
     for step in steps:
@@ -346,18 +291,19 @@ def _conclude(steps: list[Step], rankings: list[Ranking], table: tuple[dict, ...
         verdict = "adequate"
     else:
         verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
-    said = [text for step in steps for text in step.warnings]
-    said += [
+    told = [text for step in steps for text in step.warnings]
+    if not final:
+        return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))
+    came = [
         f"{term.name}: acts since the first frame; the published shape does not bear it"
         for term in last.belief.terms
         if term.name in added and term.settings.get("at_rest") is False and "sequences" not in term.settings
     ]
-    if last.assessment.worst < FAR_LESS:
-        worst = last.assessment.worst
-        said.append(
+    worst = last.assessment.worst
+    if worst < FAR_LESS:
+        came.append(
             f"no range leaves more than {worst:.2g} of the noise: sigma may be {1.0 / max(worst, 1e-3):.2g} "
             "times too large, and hide what is missing"
         )
-    said += doubted_sigma(last.compared)
-    rows = table or last.table
-    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), tuple(said), rows)
+    came += doubted_sigma(last.compared)
+    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings, *came))

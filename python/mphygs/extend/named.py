@@ -7,22 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.diagnose.criteria import CRITERIA
-from mphygs.diagnose.propose import proposals
-from mphygs.diagnose.scan import scan
-from mphygs.extend.contend import FAILURES, contenders, gain_of, predictive
-from mphygs.extend.discover import mask_outliers
-from mphygs.extend.rounds import assimilated
+from mphygs.diagnose.rank import rank
+from mphygs.extend.discover import first_fit, mask_outliers
+from mphygs.extend.finer import lender_of
+from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, minimise, told
 from mphygs.fit.placement import with_placed_effect
-from mphygs.fit.schedule import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 
-FAULT = "marker_outliers"
-ITERATIONS = 12
+
+def _started(belief: Belief, name: str, experiment: Experiment) -> Belief:
+    return with_placed_effect(belief, name, experiment.capture, tuple(experiment.fitted))
 
 
 def add_named(
@@ -31,7 +28,7 @@ def add_named(
     name: str,
     spacing: float,
     *,
-    seed: tuple[int, ...] = (0,),
+    generator: np.random.Generator,
     report: Callable[[str], None] | None = None,
 ) -> tuple[Step, bool]:
     """One effect, or one fault of the measurement, more in the model.
@@ -43,88 +40,76 @@ def add_named(
     spec = effect(name)
     if name in before.belief.effects or (name == "prestress" and before.belief.prestress == "equilibrium"):
         raise ValueError(f"effect '{name}' is in the model already; expected another one")
-    if name == FAULT:
+    if name == "marker_outliers":
         left_out = mask_outliers(experiment, before.compared)
         if report:
             report(f"{left_out} measurements do not move with their neighbours: left out")
         experiment.problems.clear()
-        return _refitted(experiment, before, [before.belief], name, spacing, report)
+        return _refitted(experiment, before, before.belief, name, spacing, generator, report)
     if name == "prestress":
-        return _refitted(experiment, before, [before.belief.with_effect(name)], name, spacing, report)
-    starts = _starts(experiment, before, name, spacing, seed, report)
-    if not starts and spec.kind == "threshold":
+        return _refitted(
+            experiment, before, before.belief.with_effect(name), name, spacing, generator, report
+        )
+    ranking = rank(
+        experiment,
+        before.belief,
+        before.solution.evaluation,
+        spacing,
+        generator=generator,
+        names=(name,),
+        report=report,
+    )
+    entry = next((e for e in ranking.entries if e.effect == name and name in e.start.effects), None)
+    if entry is None and spec.kind == "threshold":
         raise ValueError(f"effect '{name}': no trial of it acts in this motion; expected another effect")
-    if not starts:
-        placed = with_placed_effect(before.belief, name, experiment.capture, tuple(experiment.fitted))
-        starts = [placed]
-    return _refitted(experiment, before, starts, name, spacing, report)
-
-
-def _starts(
-    experiment: Experiment,
-    before: Step,
-    name: str,
-    spacing: float,
-    seed: tuple[int, ...],
-    report: Callable[[str], None] | None,
-) -> list[Belief]:
-    """Beliefs with the effect where scores beside the measurement put it, on a grid for trying; the materials
-    as they were fitted there."""
-    coarse = max(spacing, screening_spacing(experiment.capture))
-    say = report or (lambda _text: None)
-    beside = assimilated(experiment, before.belief, coarse, say=say)
-    problem = experiment.problem(coarse).under(beside.gain)
-    ways, trials = proposals(experiment, problem, beside.belief, beside.solution.evaluation, names=(name,))
-    if not ways and not trials:
-        return []
-    found = scan(
-        experiment, problem, beside.belief, beside.solution.evaluation, ways, trials,
-        generator=np.random.default_rng(seed), report=report,
-    )  # fmt: skip
-    best = [s for s in found.by_effect() if s.struck is None and s.start is not None]
-    if not best:
-        return []
-    tried = contenders(experiment, coarse, beside.gain, beside.solution, best, report=report)
-    return [t.solution.belief for t in tried if t.struck is None] or [s.start for s in best]
+    if entry is None:
+        return _refitted(
+            experiment, before, _started(before.belief, name, experiment), name, spacing, generator, report
+        )
+    lender = lender_of(experiment, spacing)
+    begun = start_refit(experiment, before.solution, entry, spacing, lender=lender, report=report)
+    found = None
+    if begun is not None:
+        found = finish_refit(
+            experiment,
+            before.solution,
+            before.compared,
+            entry,
+            begun,
+            spacing,
+            generator=generator,
+            report=report,
+        )
+    if found is None:
+        raise ValueError(f"effect '{name}': the model with it cannot be simulated from its estimate")
+    step = Step(
+        found.belief,
+        found.solution,
+        found.compared,
+        found.assessment,
+        spacing,
+        (name,),
+        entry.confounded_with,
+        (found,),
+    )
+    return step, found.pays
 
 
 def _refitted(
     experiment: Experiment,
     before: Step,
-    starts: list[Belief],
+    belief: Belief,
     name: str,
     spacing: float,
+    generator: np.random.Generator,
     report: Callable[[str], None] | None,
 ) -> tuple[Step, bool]:
-    """A step from the best of some beliefs, and whether it pays. Raises ValueError where none can be
-    simulated."""
-    problem, found, why = experiment.problem(spacing), None, ""
-    for start in starts:
-        try:
-            solution: Solution = minimise(
-                problem, start, iterations=ITERATIONS, report=told(report, f"with {name}")
-            )
-        except FAILURES as error:
-            why = str(error).splitlines()[0]
-            continue
-        if found is None or solution.evaluation.cost < found.evaluation.cost:
-            found = solution
-    if found is None:
-        raise ValueError(f"effect '{name}': the model with it cannot be simulated from its estimate: {why}")
-    compared = experiment.compare(found.belief, spacing)
-    step = Step(found.belief, found, compared, experiment.assess(compared), spacing, (name,))
-    if name == FAULT:
+    """A step from a belief near its minimum, and whether it pays."""
+    after = first_fit(experiment, belief, spacing, report=report, warm=True)
+    step = replace(after, added=(name,))
+    if name == "marker_outliers":
         # Other measurements are used now: likelihoods before and after are not of the same data.
         return step, step.assessment.worst < before.assessment.worst
-    scale = max(found.evaluation.misfit**2, 1.0)
-    gain, error = gain_of(predictive(before.compared), predictive(compared), scale)
-    paying = gain > 0.0 and (gain > CRITERIA.tied * error or not np.isfinite(error))
-    if not paying and before.compared.keys() == compared.keys():
-        drop = before.solution.evaluation.chi_square - found.evaluation.chi_square
-        mostly = found.evaluation.chi_square < MOSTLY * (found.evaluation.chi_square + drop)
-        paying = gain > 0.0 and mostly
-    return replace(step, warnings=before.warnings), paying
-
-
-# Of chi^2 on the fitted frames: what leaves no more pays without a clear gain on unseen ones, too.
-MOSTLY = 0.25
+    gain = unseen_gain(before.compared, after.compared, generator)
+    drop = before.solution.evaluation.chi_square - after.solution.evaluation.chi_square
+    return step, gain.accepted if gain is not None else drop > 20.0

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mphygs.diagnose.candidates import Way, late_ways, smooth_ways
 from mphygs.diagnose.next_motion import Proposed, propose
 from mphygs.diagnose.ranking import Entry
-from mphygs.diagnose.ways import Way, smooth_ways
 from mphygs.extend.discover import Discovery
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
@@ -43,6 +43,7 @@ def motions_to_record(
     hung = masses_of_loads(experiment.capture, [name])
     asked = [leader, *step.ties]
     ways = smooth_ways(belief, predictor.body, names=asked, hung=hung)
+    ways += late_ways(belief, predictor.body, names=asked)
     first = _way_of(entries.get(leader), ways)
     second = next((w for rival in step.ties if (w := _way_of(entries.get(rival), ways))), None)
     if first is None or second is None:

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared
-from mphygs.diagnose.criteria import CRITERIA
+from mphygs.extend.refit import Refit
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.model.belief import Belief
 
+# The error counts as explained below this many sigma on every range.
+EXPLAINED = 1.1
+# An effect that leaves less than this share of the excess explains most.
+LARGELY = 0.5
 # The fault that bad tracks are left out for: no effect of the motion.
 FAULT = "marker_outliers"
+# An effect that leaves this share of another's excess on all frames explains more; excesses that differ by
+# less than the second number [of the noise's mean square] are the same.
+CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One model of the loop. spacing: of its grid [m]; gain: of the feedback with which it stays near the
-    data, where the next effect is looked for; added: effects new in it; ties: effects that the data
-    cannot tell from them; dropped: effects of earlier steps that are superfluous with them; lender:
-    spacing of the coarser grid that its Jacobians are of [m], None where they are its own; beside:
-    spacing of the other grid that showed the discretisation's share, None for a finer one; moved: how
-    far an ever finer grid would move each coordinate, by the parameter's key; table: one row a candidate
-    that was held against it; warnings: what was said on the way to it."""
+    """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
+    cannot tell from them; since: share of the fitted frames, from the first on, that they were found on;
+    dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
+    fitted to all frames, explains them all; lender: spacing of the coarser grid that its Jacobians are
+    of [m], None where they are its own; beside: spacing of the coarser grid that showed the discretisation's
+    share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
+    coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
+    the model as it had been fitted on the coarser grid that it was brought from; halfway: of a first model,
+    as it had been fitted to half the frames on this grid; warnings: what was said on the way to it."""
 
     belief: Belief
     solution: Solution
@@ -33,31 +42,51 @@ class Step:
     spacing: float
     added: tuple[str, ...] = ()
     ties: tuple[str, ...] = ()
+    refits: tuple[Refit, ...] = ()
+    since: float = 1.0
     dropped: tuple[str, ...] = ()
+    reconciled: bool = False
     lender: float | None = None
     beside: float | None = None
     moved: Mapping[str, float] = field(default_factory=dict)
-    table: tuple[dict, ...] = ()
+    rough: Belief | None = None
+    halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
-    gain: float = 1.0
+
+    def refitted(
+        self, solution: Solution, compared: dict[str, Compared], assessment: Assessment, **changes: object
+    ) -> Step:
+        """The step with its model fitted anew. changes: to its other fields."""
+        return replace(
+            self,
+            belief=solution.belief,
+            solution=solution,
+            compared=compared,
+            assessment=assessment,
+            **changes,
+        )
 
     @property
     def explained(self) -> bool:
-        """Whether the error is at its floor: adequate by the test, or a misfit that is negligible
-        everywhere."""
-        return self.assessment.adequate or self.assessment.worst <= CRITERIA.negligible
+        """Whether the error is at its floor; without any effect added, whether the model needs none."""
+        near = bool(self.added) and self.assessment.worst <= EXPLAINED
+        return self.assessment.adequate or near or self.reconciled
 
 
-def from_grid_to_grid(coarse: Belief, fine: Belief, ratio: float) -> dict[str, float]:
-    """How far coordinates are from where an ever finer grid would lead, by the parameter's key: their change
-    over ratio^2 - 1, the ratio of the spacings (Richardson, second order). What stood at a bound says
-    nothing."""
-    if ratio <= 1.0:
+def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, float]:
+    """How far coordinates are from where an ever finer grid would lead, by the parameter's key.
+
+    A model's numbers were fitted on the grid of `step` and are fitted on a finer one of `spacing` [m] now, as
+    `fitted`: their change over r^2 - 1, r the ratio of the spacings (Richardson, second order). What stood at
+    a bound on either grid says nothing.
+    """
+    ratio = (step.spacing / spacing) ** 2 - 1.0
+    if ratio <= 0.0:
         return {}
-    before = {p.key: p for p in coarse.free}
+    before = {p.key: p for p in step.belief.free}
     return {
-        p.key: (p.coordinate - before[p.key].coordinate) / (ratio**2 - 1.0)
-        for p in fine.free
+        p.key: (p.coordinate - before[p.key].coordinate) / ratio
+        for p in fitted.free
         if p.key in before and not (p.at_bound or before[p.key].at_bound)
     }
 
@@ -74,6 +103,18 @@ def excess(assessment: Assessment, label: str | None = None) -> float:
     return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
 
 
-def with_warnings(step: Step, *texts: str) -> Step:
-    """The step with more said of it."""
-    return replace(step, warnings=(*step.warnings, *texts))
+def leaves_most(steps: Sequence[Step]) -> bool:
+    """Whether the last step, of a second effect or a later one, leaves most of what was left before it."""
+    effects = [step for step in steps if set(step.added) - {FAULT}]
+    if len(effects) < 2 or effects[-1] is not steps[-1]:
+        return False
+    return excess(steps[-1].assessment) > LARGELY * excess(steps[-2].assessment)
+
+
+def does_alike(rival: Step, best: Step, *, share: float = CLEARLY_BETTER) -> bool:
+    """Whether a rival explains as much as the best; every parameter that the best has more has to pay.
+
+    share: of the rival's excess that a better one would leave.
+    """
+    more = max(len(best.belief.free) - len(rival.belief.free), 0)
+    return excess(rival.assessment) < excess(best.assessment) / share + NEGLIGIBLE * (1 + more)

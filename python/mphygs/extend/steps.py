@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mphygs.compare.assess import grid_shift
+from mphygs.extend.finer import compared_at, compared_by, evaluated
 from mphygs.extend.step import Step, known_budget
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.boundary_share import boundary_columns, widened
@@ -31,16 +32,30 @@ def step_at(
     *,
     added: Sequence[str] = (),
     ties: Sequence[str] = (),
+    lender: float | None = None,
     refined: bool = False,
     beside: float | None = None,
 ) -> Step:
-    """The step that ended at a belief. beside: see `Step`; refined: whether the discretisation's share was
-    asked for."""
-    evaluation = experiment.problem(spacing).evaluate(belief)
-    compared = experiment.compare(belief, spacing, refine=refined, beside=beside)
+    """The step that ended at a belief. lender, beside: see `Step`; refined: whether the discretisation's
+    share was asked for (where Jacobians are lent it always is)."""
+    evaluation = evaluated(experiment, belief, spacing, lender)
+    if lender is None:
+        compared = compared_at(experiment, belief, spacing, refined=refined, beside=beside)
+    else:
+        compared = compared_by(experiment, belief, spacing, lender)
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
     assessment = experiment.assess(compared)
-    return Step(belief, solution, compared, assessment, spacing, tuple(added), tuple(ties), beside=beside)
+    return Step(
+        belief,
+        solution,
+        compared,
+        assessment,
+        spacing,
+        tuple(added),
+        tuple(ties),
+        lender=lender,
+        beside=beside,
+    )
 
 
 def state_of(step: Step) -> dict[str, object]:
@@ -48,12 +63,14 @@ def state_of(step: Step) -> dict[str, object]:
     return {
         "belief": document_of_belief(step.belief),
         "spacing": step.spacing,
+        "lender": step.lender,
         "refined": known_budget(step),
         "beside": step.beside,
         "moved": dict(step.moved),
-        "table": list(step.table),
+        "rough": step.rough and document_of_belief(step.rough),
+        "since": step.since,
+        "reconciled": step.reconciled,
         "warnings": list(step.warnings),
-        "gain": step.gain,
     }
 
 
@@ -64,22 +81,25 @@ def restored(
     before: Sequence[str] = (),
 ) -> Step:
     """The step of a state and its document. before: effects of the step before it."""
+    rough = state.get("rough")
     step = step_at(
         experiment,
         belief_from_document(state["belief"]),
         state["spacing"],
         added=document["added"],
         ties=document["ties"],
+        lender=state["lender"],
         refined=state["refined"],
         beside=state["beside"],
     )
     return replace(
         step,
         dropped=tuple(name for name in before if name not in document["effects"]),
+        since=state["since"],
+        reconciled=state["reconciled"],
         moved=state["moved"],
-        table=tuple(state["table"]),
+        rough=rough and belief_from_document(rough),
         warnings=tuple(state["warnings"]),
-        gain=state["gain"],
     )
 
 

@@ -24,8 +24,9 @@ COARSE_FACTOR = 1.5
 COARSEST = 1.7
 # Of the default spacing: where many models are tried, and where those that are left are decided between.
 SCREENING_FACTOR, DECIDING_FACTOR = 1.7, 1.28
-# Of the cost, what a last step under feedback may promise.
-SCREENING_ACCURACY = 1e-4
+# What is tried on a coarse grid is not worth its last digits; above so many sigma it is not dwelt on: its
+# first frames, where it is nearly right, will say why.
+SCREENING_ACCURACY, TRACTABLE = 1e-3, 4.0
 # Share of the cost that an iteration of a fit to tracks from pictures has to bring for another one: what
 # errors tracks have of their own last from frame to frame, and leave far more open.
 TRACKED_LEAST = 2e-3
@@ -54,8 +55,7 @@ SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the schedule. share: of every range's frames; iterations: at most; gain: of the feedback
-    from the measurement under which it fits, 0 for free runs."""
+    """One step of the schedule. share: of every range's frames; iterations: at most."""
 
     name: str
     spacing: float
@@ -65,7 +65,6 @@ class Stage:
     gross: float = np.inf  # misfit [sigma] that is not lowered for long where it hardly falls
     least: float = 0.0  # share of the cost that an iteration has to bring for another one
     reports: int = USUAL_ITERATIONS  # lines of progress to expect
-    gain: float = 0.0
 
     @property
     def work(self) -> float:
@@ -118,17 +117,20 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sta
     return plan if coarse > spacing else (*plan[:2], plan[3])
 
 
-def plan_of(capture: Capture, spacing: float, *, warm: bool, screening: bool = False) -> tuple[Stage, ...]:
-    """The stages of a fit of a capture at a spacing [m]. screening: whether it is for a loop that looks for
-    what is missing, where the grid is as coarse as that asks for: then under feedback, and from there nowhere
-    else."""
+def plan_of(
+    capture: Capture, spacing: float, *, warm: bool, screening: bool = False
+) -> tuple[Stage, ...]:
+    """The stages of a fit of a capture at a spacing [m]. screening: whether it is one of many models that are
+    tried, where the grid is as coarse as that asks for."""
     # Rounded as spacings are: the coarsest grid is that of a screening fit, which has no other.
     plan = stages(spacing, warm=warm, coarsest=round(COARSEST * default_spacing(capture), 6))
     if any(s.markers is not None and s.markers.spread is not None for s in capture.sequences):
         plan = tuple(replace(stage, least=TRACKED_LEAST) for stage in plan)
     if not screening or spacing <= FINE * deciding_spacing(capture):
         return plan
-    return (Stage("under feedback", spacing, 1.0, 8, SCREENING_ACCURACY, gain=1.0),)
+    return tuple(
+        replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY), gross=TRACTABLE) for stage in plan
+    )
 
 
 def forget(belief: Belief) -> Belief:
@@ -286,8 +288,8 @@ def fit_belief(
         if stage.spacing not in problems:
             own = replace(settings, spacing=stage.spacing)
             problems[stage.spacing] = Problem(capture, own, ranges, observations)
-        problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share).under(stage.gain)
-        if number == 0 and not warm and not stage.gain:
+        problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
+        if number == 0 and not warm:
             belief = find_scale(problem, belief, report)
 
         tell = told(report, f"{stage.name} ({1e3 * stage.spacing:.3g} mm)")
@@ -309,12 +311,6 @@ def fit_belief(
             dwell=dwell,
             least=stage.least,
         )
-        if stage.gain:
-            # What is told of it are free runs, of unseen frames as well.
-            whole = {n: (a, max(b, capture.sequence(n).predict[1])) for n, (a, b) in problem.ranges.items()}
-            free = simulable(problem.under(0.0).with_ranges(whole), solution.belief)
-            if free is not solution.belief:
-                solution = replace(solution, belief=free, evaluation=problem.evaluate(free))
         belief = solution.belief
         earlier, last, misfit = last, belief, solution.evaluation.misfit
         problems[stage.spacing].predictors.update(problem.predictors)

@@ -16,7 +16,3 @@ class SimulationError(RuntimeError):
 
 class Halted(Exception):
     """A run that was not begun: whoever asked for it has stopped waiting."""
-
-
-# What a model that is only tried may trip over: it is struck off, and whoever tries it goes on.
-FAILURES = (SimulationError, ValueError, ArithmeticError, RuntimeError)

@@ -1,0 +1,83 @@
+"""What the grid gets wrong of a fitted motion: neither to be called physics, nor to hide physics."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mphygs.compare.allowance import Allowance, modulated_directions
+from mphygs.compare.assess import MODULATIONS
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.problem import Evaluation
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+
+# A grid so many times as fine, or as coarse, shows the discretisation's error.
+BESIDE = 1.5
+
+
+def _of_sequence(
+    experiment: Experiment, spacing: float, belief: Belief, position: np.ndarray, name: str, last: int
+) -> np.ndarray | None:
+    """(T, M, 3) what a grid's prediction lacks [m], by Richardson's extrapolation from a finer one; from a
+    coarser one where that cannot carry what was fitted here: thin parts that the grid makes too stiff are
+    found too soft. None where neither can."""
+    for ratio in (1.0 / BESIDE, BESIDE):
+        try:
+            other = experiment.predictor(name, spacing * ratio).predict(belief, last=last).position
+        except SimulationError:
+            continue
+        return (other - position) / (1.0 - ratio**2)
+    return None
+
+
+def _whitened(
+    experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation, share: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """(N,) the error in the rows of a fit, each row's part and frame; None where none can be had."""
+    problem = experiment.window(spacing, share)
+    pieces, parts, frames = [], [], []
+    for number, (name, (first, last)) in enumerate(problem.ranges.items()):
+        error = _of_sequence(experiment, spacing, belief, evaluation.positions[name], name, last)
+        if error is None:
+            return None
+        whitener = experiment.observations[name].whitener(first, last)
+        pieces.append(whitener.whiten(error[first:last]))
+        parts.append(problem.predictors[name].attachment.part[whitener.marker] + 1000 * number)
+        frames.append(whitener.frame)
+    return np.concatenate(pieces), np.concatenate(parts), np.concatenate(frames)
+
+
+def allowance_of(
+    experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation, *, share: float = 1.0
+) -> Allowance:
+    """The discretisation's error over the first `share` of the fitted frames, as nuisance directions."""
+    known = _whitened(experiment, spacing, belief, evaluation, share)
+    if known is None:
+        return Allowance()
+    directions = modulated_directions(*known, count=MODULATIONS)
+    return Allowance(directions=directions[:, np.linalg.norm(directions, axis=0) > 1e-9])
+
+
+def unabsorbed(
+    experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation, *, share: float = 1.0
+) -> float:
+    """Root mean square [sigma] of the discretisation's error over the first `share` of the frames, less
+    what the fitted parameters take up of it; infinite where no other grid can carry the model.
+
+    evaluation: of the fit there, with Jacobian.
+    """
+    known = _whitened(experiment, spacing, belief, evaluation, share)
+    if known is None:
+        return np.inf
+    error = known[0]
+    basis = np.linalg.qr(evaluation.jacobian[: evaluation.data_rows])[0]
+    left = error - basis @ (basis.T @ error)
+    return float(np.sqrt(left @ left / max(len(left), 1)))
+
+
+def may_have_all(
+    experiment: Experiment, spacing: float, belief: Belief, evaluation: Evaluation
+) -> bool:
+    """Whether the grid may have of its own all that a fit leaves of the fitted frames beyond noise: its error
+    there, less what the materials take up, is as large. evaluation: of the fit, with Jacobian."""
+    return unabsorbed(experiment, spacing, belief, evaluation) ** 2 > evaluation.misfit**2 - 1.0

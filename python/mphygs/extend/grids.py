@@ -1,0 +1,332 @@
+"""Which grid a model stands on: coarse while the misfit is gross, finer where it could be the grid's own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR
+from mphygs.diagnose.grid_error import may_have_all
+from mphygs.extend.anew import anew
+from mphygs.extend.finer import (
+    LENDS,
+    closest,
+    compared_again,
+    compared_by,
+    finer,
+    lender_of,
+    with_tangents,
+)
+from mphygs.extend.met_again import met_again
+from mphygs.extend.refit import AT_FLOOR, NEAR_FLOOR
+from mphygs.extend.simplest import without_loads
+from mphygs.extend.step import EXPLAINED, LARGELY, Step, excess, from_grid_to_grid, known_budget, leaves_most
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, minimise, told
+from mphygs.fit.places import relocated
+from mphygs.fit.problem import Problem
+from mphygs.fit.schedule import (
+    deciding_spacing,
+    default_spacing,
+    screening_spacing,
+    simulable,
+    without_stiffest,
+)
+from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
+from mphygs.simulate.errors import SimulationError
+
+# On the screening grid a misfit [sigma] below the first number, or an excess below this share of that of the
+# first model, may be the grid's own: the deciding grid is asked.
+GROSS, EXPLAINED_ON_COARSE = 3.0, 0.1
+# Of a refit on another grid; a misfit that is gross after the first few is not the grid's.
+ITERATIONS, FIRST = 8, 3
+# What is left is not the grid's where it is so many times what a coarser grid shows of that, and above so
+# many sigma: less than that the floor test, which a rough share misleads, may excuse. Before a fit is at its
+# end so many times more; so many times where it hardly falls any further.
+BEYOND, CLEAR, FURTHER = 3.0, 1.5, 2.0
+# A model that nearly explained the motion on a coarse grid, and on a finer one leaves so many times as much
+# and is not near the floor, has materials that were the coarse grid's.
+LEFT_BEHIND = 1.2
+# Share of the cost that the last step of what is concluded may promise, and of what is not near the floor.
+LAST_DIGITS, ROUGHLY = 1e-5, 1e-2
+
+
+def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
+    """Spacing [m] on which the last step should be asked again, None where its grid will do."""
+    first, last = steps[0], steps[-1]
+    deciding = deciding_spacing(experiment.capture)
+    if last.spacing < 1.1 * deciding:
+        return None
+    if leaves_most(steps) and not sets_in(last) and not without_loads(experiment):
+        # No third effect is tried: what a finer grid may have of it decides.
+        return deciding if not _physics(steps[-2]) and _grid_may_have(experiment, last) else None
+    # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
+    label = "fit" if sets_in(last) else None
+    small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
+        first.assessment, label
+    )
+    if small or last.assessment.worst < GROSS:
+        return deciding
+    if not last.added and last.solution.evaluation.misfit < GROSS:
+        # Near enough on the fitted frames, and far off on others: the grid's error bends the materials.
+        return deciding if _grid_may_have(experiment, last) else None
+    fell = last.added and excess(last.assessment, label) < LARGELY * excess(steps[-2].assessment, label)
+    return deciding if fell and _grid_may_have(experiment, last) else None
+
+
+def _physics(step: Step) -> bool:
+    """Whether a step's budget, where it is known, says that what it leaves is not the grid's."""
+    budget = step.assessment.budget
+    return known_budget(step) and budget["physics"] > BEYOND * budget["discretisation"]
+
+
+def _grid_may_have(experiment: Experiment, step: Step) -> bool:
+    return may_have_all(experiment, step.spacing, step.belief, step.solution.evaluation)
+
+
+def sets_in(step: Step) -> bool:
+    """Whether the last effect of a step is one that sets in at some moment: a wall, yielding."""
+    return any(effect(name).kind == "threshold" for name in step.added)
+
+
+def left_behind(coarse: Step, fine: Step) -> bool:
+    """Whether a model that did well on a coarse grid is far from its minimum on a finer one."""
+    there, here = coarse.solution.evaluation.misfit, fine.solution.evaluation.misfit
+    return bool(fine.added) and not sets_in(fine) and there < CLEAR < here and here > LEFT_BEHIND * there
+
+
+def on_grid(
+    experiment: Experiment,
+    step: Step,
+    spacing: float,
+    report: Callable[[str], None] | None = None,
+    *,
+    hopeless: float = math.inf,
+    tangents: bool = True,
+) -> Step | None:
+    """The step refitted on another grid, None where it cannot be simulated there.
+
+    hopeless: misfit [sigma] of the fitted frames above which it is given up after the first iterations;
+    tangents: whether it may be concluded from (see `complete`).
+
+    What sets in at some moment is refitted from there on (see `followed`): over all frames at once, what a
+    coarse grid made of it is hard to leave.
+    """
+    say = report or (lambda _text: None)
+    say(f"refitting on a grid of {1e3 * spacing:.3g} mm")
+    try:
+        problem = experiment.problem(spacing)
+        belief = simulable(problem, step.belief)
+        softer = without_stiffest(belief) if spacing < step.spacing else None
+        if softer is not None:
+            belief = closest(problem, (belief, softer))
+        tell = told(report, f"{1e3 * spacing:.3g} mm")
+        lender = lender_of(experiment, spacing)
+        if step.since < 1.0 and sets_in(step):
+            belief = met_again(experiment, belief, step.since, lender, spacing, tell)
+        solution = minimise(
+            problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
+        )
+        misfit = solution.evaluation.misfit
+        if misfit > hopeless:
+            say(f"{', '.join(step.added)}: given up, others leave less")
+            return None
+        beyond = misfit > GROSS or _out_of_reach(experiment, step, solution, spacing)
+        if not solution.converged and not beyond:
+            # Where and how hard something is met, to the last digits, is the grid's.
+            rough = misfit >= NEAR_FLOOR or sets_in(step)
+            left, accuracy = ITERATIONS - FIRST, ROUGHLY if rough else 1e-3
+            solution = minimise(
+                problem, solution.belief, iterations=left, relative_tolerance=accuracy, least=accuracy,
+                report=tell,
+            )  # fmt: skip
+        compared = experiment.compare(solution.belief, spacing, jacobian=False)
+        if tangents and solution.evaluation.misfit <= EXPLAINED:
+            near = experiment.assess(compared).worst <= LARGEST_EXCUSED
+            if near or (step.added and not sets_in(step)):
+                # It may be concluded from: its tangents on all frames, which cost most, are asked for once.
+                # Or only unseen frames are off: in a narrow valley the last digits of the cost decide those.
+                solution = _to_last_digits(problem, solution.belief, ITERATIONS // 2 if near else ITERATIONS)
+                compared = experiment.compare(solution.belief, spacing, jacobian=False)
+        if tangents:
+            compared = with_tangents(experiment, compared, solution.belief, spacing)
+    except SimulationError as error:
+        say(f"grid of {1e3 * spacing:.3g} mm: {error}")
+        return None
+    assessment = experiment.assess(compared)
+    say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    moved = from_grid_to_grid(step, solution.belief, spacing)
+    rough = step.belief if spacing < step.spacing else None
+    changes = {"spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough}
+    return step.refitted(solution, compared, assessment, **changes)
+
+
+def _out_of_reach(experiment: Experiment, step: Step, solution: Solution, spacing: float) -> bool:
+    """Whether no further iteration brings a step near the floor: what it leaves on all frames is neither the
+    coarser grid's that it comes from nor this one's. Raises SimulationError."""
+    if solution.converged or not step.added or sets_in(step) or spacing >= step.spacing:
+        return False
+    worst = experiment.assess(experiment.compare(solution.belief, spacing, jacobian=False)).worst
+    times = FURTHER if _creeps(solution) else FURTHER * BEYOND
+    return _far_beyond(step.assessment.worst, worst, step.spacing / spacing, times=times)
+
+
+def _creeps(solution: Solution) -> bool:
+    """Whether a fit stays clear of the noise even if all further iterations bring what the better of the last
+    two brought."""
+    if len(solution.history) < 3:
+        return False
+    a, b, c = solution.history[-3:]
+    least = c - (ITERATIONS - FIRST) * max(a - b, b - c)
+    return least > NEAR_FLOOR**2 * c / solution.evaluation.misfit**2
+
+
+def _to_last_digits(problem: Problem, belief: Belief, iterations: int = ITERATIONS // 2) -> Solution:
+    """The fit at the minimum, to a small share of the standard errors; refits stop short of it."""
+    return minimise(problem, belief, iterations=iterations, relative_tolerance=LAST_DIGITS)
+
+
+def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
+    """The step with its numbers at the minimum (see `_to_last_digits`)."""
+    if step.lender is not None or step.assessment.worst > EXPLAINED:
+        return step  # what Jacobians of another grid lead to has none, and the grid's error hides them
+    say = report or (lambda _text: None)
+    problem = experiment.problem(step.spacing)
+    lender = lender_of(experiment, step.spacing)
+    solution = relocated(
+        problem, step.solution, columns_of=lender, relative_tolerance=LAST_DIGITS, report=report
+    )
+    solution = _to_last_digits(problem, solution.belief)
+    if solution.belief is step.belief:
+        return step
+    # Where a refinement excused a part of the misfit, it is asked again.
+    compared = compared_again(experiment, step, solution.belief)
+    assessment = experiment.assess(compared)
+    after = step.refitted(solution, compared, assessment)
+    say(f"last digits: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    return after if after.explained else step
+
+
+def finely(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
+    """An explained step on a grid as fine as the default one, where it is not at the noise and leaves less
+    there: what is told of a model should be as near as a fit comes."""
+    coarser = step.lender is None and step.spacing > 1.1 * default_spacing(experiment.capture)
+    if not coarser or step.reconciled or sets_in(step) or step.assessment.worst <= AT_FLOOR:
+        return step
+    after = finer(experiment, step, report)
+    better = after is not None and after.explained and after.assessment.worst < step.assessment.worst
+    return after if better else step
+
+
+def complete(experiment: Experiment, step: Step, *, screening: bool = False) -> Step:
+    """The step with the tangents of its prediction, which the floor test takes and rivals go without; without
+    where the misfit is gross (see `with_tangents`).
+
+    screening: whether a grid that is coarser than the deciding one was only for trying many models: what no
+    test would excuse goes without there, for its share of the error is not asked either.
+    """
+    worst = step.assessment.worst
+    if worst >= LARGEST_GRID_ERROR:
+        return step
+    if screening and worst > LARGEST_EXCUSED and not known_budget(step):
+        if step.spacing > 1.1 * deciding_spacing(experiment.capture):
+            return step
+    if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
+        return step
+    if step.lender is None:
+        compared = compared_again(experiment, step, step.belief)
+    else:
+        compared = compared_by(experiment, step.belief, step.spacing, step.lender)
+    return replace(step, compared=compared, assessment=experiment.assess(compared))
+
+
+def with_budget(
+    experiment: Experiment,
+    step: Step,
+    report: Callable[[str], None] | None = None,
+    *,
+    beside: float | None = None,
+) -> Step:
+    """The step with the discretisation's share of its misfit known, from one refinement.
+
+    beside: spacing of a coarser grid [m] that shows it well enough where nothing is decided by it, at a
+    hundredth of the work; a finer one is asked where it is not much coarser, or cannot carry the model.
+    """
+    coarse = beside if beside is not None and beside > LENDS * step.spacing else None
+    try:
+        compared = experiment.with_refinement(step.compared, step.belief, step.spacing, beside=coarse)
+    except SimulationError:
+        return step if coarse is None else with_budget(experiment, step, report)
+    assessment = experiment.assess(compared)
+    known = replace(step, compared=compared, assessment=assessment, beside=coarse)
+    told_budget(known, report)
+    return known
+
+
+def told_budget(step: Step, report: Callable[[str], None] | None) -> None:
+    """Say a step's error budget."""
+    if report:
+        shares = ", ".join(f"{name} {1e3 * share:.3f}" for name, share in step.assessment.budget.items())
+        report(f"shares of the misfit [mm]: {shares}")
+
+
+def refined(
+    experiment: Experiment,
+    steps: Sequence[Step],
+    report: Callable[[str], None] | None,
+    *,
+    screening: bool,
+    tied: bool = False,
+) -> Step:
+    """The last step on the grid that its misfit asks for, with its error budget where that decides.
+
+    screening: whether the grid so far was only for trying many models, and another may be chosen; tied:
+    whether others do alike, which the deciding grid tells: kinds of damping, say, differ by less than the
+    error of a coarse one.
+    """
+    current, hopeless, spacing = steps[-1], False, None
+    if screening and not known_budget(current) and current.assessment.worst > LARGEST_EXCUSED:
+        # No tangents will excuse it: another grid may be asked without them.
+        spacing = next_spacing(experiment, steps)
+    if spacing is None:
+        current = complete(experiment, current, screening=screening)
+        spacing = next_spacing(experiment, steps) if screening and not current.explained else None
+    deciding = deciding_spacing(experiment.capture)
+    if screening and tied and current.explained and current.spacing > 1.1 * deciding:
+        spacing = deciding
+    if spacing is not None:
+        moved = on_grid(experiment, current, spacing, report)
+        if moved is not None and left_behind(current, moved):
+            moved = anew(experiment, moved, report)
+        hopeless = moved is not None and _far_beyond(
+            current.assessment.worst, moved.assessment.worst, current.spacing / moved.spacing
+        )
+        current = moved or complete(experiment, current, screening=screening)
+    fine = not screening or current.spacing < 1.1 * deciding_spacing(experiment.capture)
+    if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
+        return current
+    if screening and current.assessment.worst > CLEAR:
+        # What a coarser grid shows of it, at a tenth of the work, may say that it is far too little.
+        rough = with_budget(experiment, current, beside=screening_spacing(experiment.capture))
+        if _physics(rough):
+            told_budget(rough, report)
+            return rough
+    small = excess(current.assessment) < EXPLAINED_ON_COARSE * excess(steps[0].assessment)
+    if screening and current.added and small and not sets_in(current) and not hopeless:
+        after = finer(experiment, current, report)
+        if after is not None and after.explained:
+            return after
+    return with_budget(experiment, current, report)
+
+
+def _far_beyond(coarse: float, fine: float, ratio: float, *, times: float = BEYOND) -> bool:
+    """Whether what a refit on a finer grid leaves is more than a still finer one could take away: several
+    times what the error that falls with the square of the spacing would, by the two of them.
+
+    coarse, fine: misfit in the worst range on either grid [sigma]; ratio: of their spacings; times: so many
+    times that error.
+    """
+    rest = max(coarse - fine, 0.0) / (ratio**2 - 1.0)
+    return fine - times * rest > CLEAR

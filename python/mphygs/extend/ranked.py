@@ -1,0 +1,103 @@
+"""Candidates ranked where the model that lacks one of them is nearly right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mphygs.compare.allowance import Allowance
+from mphygs.diagnose.grid_error import allowance_of
+from mphygs.diagnose.rank import rank
+from mphygs.diagnose.ranking import Ranking
+from mphygs.extend.step import Step
+from mphygs.extend.window import ON_THE_WAY, at_other_scales, tractable_window
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution
+
+# What tells common scales of the materials apart where something acts from the start on.
+LOADS = ("gravity", "wind", "base_motion")
+# Of the excess over noise: where no effect promises more, other materials have made up for the true one.
+LITTLE = 0.15
+
+
+def ranked(
+    experiment: Experiment,
+    current: Step,
+    spacing: float,
+    generator: np.random.Generator,
+    *,
+    names: Sequence[str] | None = None,
+    report: Callable[[str], None] | None = None,
+) -> tuple[tuple[float, Solution], bool, Ranking]:
+    """The share of the fitted frames that a step's model is diagnosed on with the model there, whether that
+    is one of materials that were not fitted, and the candidates ranked there.
+
+    names: effects that may be added (None: all).
+    """
+    say = report or (lambda _text: None)
+    window = tractable_window(experiment, current, spacing, say)
+    afar = _from_afar(experiment, window, spacing, generator, names, report)
+    if afar is not None:
+        window = window[0], afar
+
+    def ranking_of(window: tuple[float, Solution], generator: np.random.Generator) -> Ranking:
+        share, fitted = window
+        # From afar the grid's error is that of another motion: no share of what is left there.
+        own = afar is None
+        allowance = (
+            allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=share)
+            if own
+            else Allowance()
+        )
+        return rank(
+            experiment, fitted.belief, fitted.evaluation, spacing,
+            share=share, generator=generator, names=names, allowance=allowance, report=report,
+        )  # fmt: skip
+
+    ranking = ranking_of(window, generator)
+    if window[1].reason == ON_THE_WAY and _promised(ranking) < LITTLE:
+        say("no effect promises much there: seen again from the first frames on")
+        other = tractable_window(experiment, replace(current, halfway=None), spacing, say)
+        again = ranking_of(other, generator.spawn(1)[0])
+        if _promised(again, net=True) > _promised(ranking, net=True):
+            return other, False, again
+    return window, afar is not None, ranking
+
+
+def _promised(ranking: Ranking, *, net: bool = False) -> float:
+    """The largest share of the excess over noise that an effect is predicted to take; net: of a smooth one's,
+    what the grid may have of its own is no part."""
+    beyond = own = max(ranking.chi_square - ranking.rows, 1.0)
+    if net and ranking.table is not None:
+        own = max(ranking.table.chi_square - ranking.table.degrees, 1.0)
+    shares = [e.statistic / (beyond if e.kind == "threshold" else own) for e in ranking.entries]
+    return max(shares, default=0.0)
+
+
+def _from_afar(
+    experiment: Experiment,
+    window: tuple[float, Solution],
+    spacing: float,
+    generator: np.random.Generator,
+    names: Sequence[str] | None,
+    report: Callable[[str], None] | None,
+) -> Solution | None:
+    """Where a first model is far off even on the first few frames: these frames seen with all parts as soft
+    as usual, at the scale at which a load promises to leave least."""
+    best, least = None, np.inf
+    loads = LOADS if names is None else [name for name in LOADS if name in names] or names
+    for solution in at_other_scales(experiment, window, spacing):
+        ranking = rank(
+            experiment, solution.belief, solution.evaluation, spacing, share=window[0],
+            generator=generator.spawn(1)[0], names=loads, trials=False, report=report,
+        )  # fmt: skip
+        left = ranking.chi_square - max((entry.statistic for entry in ranking.entries), default=0.0)
+        if left < least:
+            best, least = solution, left
+    if best is not None and report:
+        young = [best.belief[f"{part}.youngs_modulus"].value for part in best.belief.parts]
+        misfit = best.evaluation.misfit
+        report(f"seen with all parts at {1e-3 * np.median(young):.3g} kPa: {misfit:.3f} sigma")
+    return best

@@ -1,0 +1,356 @@
+"""Refit a model with an effect really in it, and judge it on frames that were not fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mphygs.compare.assess import Assessment, Compared, whiten_all
+from mphygs.diagnose.contact_search import hold_friction, release_friction
+from mphygs.diagnose.grid_error import may_have_all
+from mphygs.diagnose.held_out import GainInterval, gain_interval
+from mphygs.diagnose.ranking import Entry
+from mphygs.extend.known_slopes import approached_from
+from mphygs.extend.setting_in import placed
+from mphygs.fit.anew import fitted_anew
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import TOO_LITTLE, Solution, approached, minimise, promise, told
+from mphygs.fit.places import relocated
+from mphygs.fit.problem import Problem
+from mphygs.model.belief import Belief, Parameter
+from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.scope import in_scope
+
+# Frames of one block of the bootstrap on unseen frames: errors within one swing hang together.
+BLOCK_FRAMES = 8
+# Of chi^2 on the fitted frames that an effect leaves at most, to be kept without a clear gain on unseen ones.
+MOSTLY_EXPLAINED = 0.25
+# Of a wall or of yielding: so little left is asked further even where unseen frames do not gain.
+NEARLY_ALL = 0.1
+STRENGTHS = (0.5, 1.0, 2.0)
+# A refit that is begun goes on for so many more iterations as long as each leaves less than this share, or
+# the next promises to: a viscosity, say, goes to its strength in stages, for no step may shorten the substep
+# much, and a relaxation may stand for an iteration before it finds its time.
+FALLING, MORE = 0.7, 4
+# Of the substep without the effect: no refit starts with less.
+SHORTEST_SUBSTEP = 0.3
+# A refit that leaves so much [sigma] is near the floor and not at it: its materials may be where a model
+# without the effect had drawn them.
+AT_FLOOR, NEAR_FLOOR = 1.03, 1.25
+# A refit ends where an iteration brings less than so many times what the last one may promise; more times
+# where it leaves more than so much [sigma]: at that pace it does not get near the floor any more.
+BRINGS, FAR, BRINGS_FAR = 5.0, 2.0, 50.0
+# That of what sets in (a wall, yielding), which is found once more on the deciding grid, from the frames
+# before.
+BRINGS_SETTING_IN = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A model with an effect added. compared: without tangents, which only the one that is kept needs; gain:
+    on unseen frames over the model before; actual_drop: of chi^2 on the fitted frames, to hold against
+    entry.statistic; contained_in: promising effects that are this one with more numbers, not refitted."""
+
+    entry: Entry
+    solution: Solution
+    compared: dict[str, Compared]
+    assessment: Assessment
+    gain: GainInterval | None
+    actual_drop: float
+    contained_in: tuple[str, ...] = ()
+
+    @property
+    def belief(self) -> Belief:
+        """The model as refitted."""
+        return self.solution.belief
+
+    @property
+    def pays(self) -> bool:
+        """Whether the effect lowers the error on frames that were not fitted (on fitted ones, where there
+        are no others).
+
+        Where the model lacks more than this effect, the rest of the misfit comes and goes over the unseen
+        frames, and no interval of a few swings excludes zero: there the gain has to be positive, and most of
+        the misfit of the fitted frames explained.
+        """
+        if self.gain is None:
+            return self.actual_drop > 20.0
+        return self.gain.accepted or self.gain.gain > 0.0 and self.left < MOSTLY_EXPLAINED
+
+    @property
+    def left(self) -> float:
+        """Share of chi^2 on the fitted frames that the effect leaves."""
+        after = self.solution.evaluation.chi_square
+        return after / (after + self.actual_drop)
+
+    @property
+    def may_pay(self) -> bool:
+        """Whether it is worth asking all frames: something sets in that explains the fitted ones, and what it
+        does later (a second touch) the fitted ones leave open. The step pays if all frames are explained."""
+        return self.entry.kind == "threshold" and self.actual_drop > 0.0 and self.left < NEARLY_ALL
+
+    @property
+    def surprising(self) -> bool:
+        """Actual and predicted drop differ by more than a factor of two."""
+        return not 0.5 <= self.actual_drop / max(self.entry.statistic, 1e-9) <= 2.0
+
+
+def _scaled(entry: Entry, start: Belief, belief: Belief, strength: float) -> Belief:
+    """A start of the entry with the effect's strengths (parameters whose null is zero) times a factor."""
+    out = start
+    for parameter in start.parameters:
+        if (
+            parameter.key.startswith(f"{entry.effect}.")
+            and parameter.free
+            and not parameter.log
+            and entry.kind != "threshold"
+        ):
+            if parameter.key.split(".", 1)[1] in ("f", "phase", "nu"):
+                continue
+            value = float(np.clip(parameter.value * strength, parameter.lower, parameter.upper))
+            out = out.with_parameter(parameter.key, value=value)
+    fitted = {p.key: p.value for p in belief.parameters}
+    parameters = []
+    for p in out.parameters:
+        if p.key in fitted:
+            # What was fitted stays where the fit left it; a wall may be where only a softer object meets it.
+            p = p if entry.kind == "threshold" else replace(p, value=fitted[p.key])
+        else:
+            p = in_logarithm(p)
+        parameters.append(p)
+    return replace(out, parameters=tuple(parameters))
+
+
+def in_logarithm(p: Parameter) -> Parameter:
+    """A free strength that cannot be negative, to be fitted in its logarithm: far from the data a linear step
+    overshoots by orders of magnitude. Any other parameter as it is."""
+    if not p.free or p.log or p.lower != 0.0 or math.isfinite(p.prior_std):
+        return p
+    return replace(p, log=True, lower=1e-6 * p.scale, value=max(p.value, 1e-2 * p.scale))
+
+
+def start_refit(
+    experiment: Experiment,
+    before: Solution,
+    entry: Entry,
+    spacing: float,
+    *,
+    share: float = 1.0,
+    iterations: int = 3,
+    hopeless: float = math.inf,
+    accuracy: float = 1e-3,
+    lender: Problem | None = None,
+    report: Callable[[str], None] | None = None,
+) -> Solution | None:
+    """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate,
+    whichever fits best; where it has several starts, from the one that is best after an iteration. A few more
+    as long as they bring much.
+
+    share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends once an
+    iteration brings little, or as many are made as any refit may have; accuracy: share of the cost that a
+    last step may promise; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
+    Returns None where no such model can be simulated.
+    """
+    problem = experiment.window(spacing, share)
+    starts = [_strongest(problem, before.belief, entry, start) for start in (entry.start, *entry.others)]
+    begun: list[Solution] = []
+    for start in starts:
+        if start is None:
+            continue
+        try:
+            begun.append(_led(problem, before, entry, start, lender, accuracy))
+        except SimulationError:
+            continue
+    if not begun:
+        return None
+    solution = min(begun, key=lambda item: item.evaluation.chi_square)
+    done, most = len(solution.history) - 1, iterations + MORE
+    solution, done = _falling(problem, solution, done, most, accuracy, hopeless)
+    if solution.evaluation.chi_square < hopeless:
+        if done < iterations and not solution.converged:
+            try:
+                solution = minimise(
+                    problem, solution.belief, iterations=iterations - done, relative_tolerance=accuracy
+                )
+            except SimulationError:
+                return None
+            done += len(solution.history) - 1
+        solution, done = _falling(problem, solution, done, most, accuracy)
+    if report:
+        report(f"with {entry.label}: {solution.evaluation.misfit:.3f} sigma after {done} iterations")
+    return solution
+
+
+def _falling(
+    problem: Problem, solution: Solution, done: int, most: int, accuracy: float, until: float = 0.0
+) -> tuple[Solution, int]:
+    """A solution gone on with as long as an iteration brings much, to `most` of them or below a chi^2.
+
+    done: the number of those made, returned with it; until: that chi^2."""
+    while done < most and solution.evaluation.chi_square >= until:
+        further = _further(problem, solution, accuracy)
+        if further is None:
+            break
+        solution, done = further, done + 1
+    return solution, done
+
+
+def _further(problem: Problem, solution: Solution, accuracy: float) -> Solution | None:
+    """One more iteration where the last one brought much or the next promises to, and one can be made."""
+    costs = solution.history[-2:]
+    if solution.converged or len(costs) < 2:
+        return None
+    evaluation, little = solution.evaluation, costs[1] > FALLING * costs[0]
+    # Where noise alone would leave more than that share of it, no Jacobian is needed to tell.
+    if little and FALLING * evaluation.chi_square < evaluation.data_rows:
+        return None
+    try:
+        if little and costs[1] - promise(solution.belief, evaluation) > FALLING * costs[1]:
+            return None
+        further = minimise(problem, solution.belief, iterations=1, relative_tolerance=accuracy)
+    except SimulationError:
+        return None
+    return further if len(further.history) > 1 else None
+
+
+def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) -> Belief | None:
+    """A start of an entry at the strength that fits best; None where none can be simulated."""
+    strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
+    best, best_cost = None, np.inf
+    predictor = next(iter(problem.predictors.values()))
+    longest = predictor.stable_substep(before)
+    for strength in strengths:
+        start = _scaled(entry, begin, before, strength)
+        # Far from the data the linear estimate can be many times too strong, and a strong viscosity needs
+        # short substeps: start weaker, the iterations find the way.
+        while (
+            entry.kind != "threshold"
+            and predictor.stable_substep(start) < SHORTEST_SUBSTEP * longest
+            and strength > 1e-3
+        ):
+            strength *= 0.5
+            start = _scaled(entry, begin, before, strength)
+        try:
+            cost = problem.evaluate(start, jacobian=False).cost
+        except SimulationError:
+            continue
+        if cost < best_cost:
+            best, best_cost = start, cost
+    return best
+
+
+def _led(
+    problem: Problem,
+    before: Solution,
+    entry: Entry,
+    start: Belief,
+    lender: Problem | None,
+    accuracy: float,
+) -> Solution:
+    """The first iteration from a start. Raises SimulationError where it cannot be simulated."""
+    if entry.kind == "threshold":
+        start = placed(problem, hold_friction(start), lender=lender)
+    elif lender is not None:
+        start = approached(problem, lender, start)
+    else:
+        start = approached_from(problem, before, start)
+    return minimise(problem, start, iterations=1, relative_tolerance=accuracy)
+
+
+def finish_refit(
+    experiment: Experiment,
+    before: Solution,
+    compared_before: dict[str, Compared],
+    entry: Entry,
+    begun: Solution,
+    spacing: float,
+    *,
+    generator: np.random.Generator,
+    iterations: int = 10,
+    accuracy: float = 1e-4,
+    hopeless: float = math.inf,
+    anew: bool = True,
+    report: Callable[[str], None] | None = None,
+) -> Refit | None:
+    """Bring a refit that was begun to its minimum and judge it.
+
+    accuracy: share of the cost that a last step may promise; hopeless: chi^2 above which it is given up after
+    three iterations; anew: whether materials may begin from the start near the floor. None where it is given
+    up, or where its motion cannot be simulated.
+    """
+    problem = experiment.problem(spacing)
+    tell = told(report, f"with {entry.effect}")
+    try:
+        belief = release_friction(begun.belief)
+        # Begun on all frames, it is there with its Jacobian.
+        same = belief is begun.belief and begun.evaluation.data_rows == before.evaluation.data_rows
+        known = begun.evaluation if same else None
+        late = entry.kind == "threshold"
+        solution = minimise(
+            problem, belief, iterations=3, relative_tolerance=accuracy, known=known,
+            least=BRINGS_SETTING_IN * accuracy if late else 0.0, report=tell,
+        )  # fmt: skip
+        if solution.evaluation.chi_square > hopeless:
+            return None
+        if not solution.converged and solution.reason != TOO_LITTLE:
+            near = BRINGS_SETTING_IN if late else BRINGS
+            brings = BRINGS_FAR if solution.evaluation.misfit > FAR else near
+            solution = minimise(
+                problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy,
+                least=brings * accuracy, report=tell,
+            )  # fmt: skip
+        close = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
+        if anew and close and not late:
+            if not may_have_all(experiment, spacing, solution.belief, solution.evaluation):
+                solution = fitted_anew(experiment, solution, spacing, report)
+        # Materials first: a place that makes up for theirs is hard to leave.
+        solution = relocated(problem, solution, relative_tolerance=accuracy, report=report)
+        compared = experiment.compare(solution.belief, spacing, jacobian=False)
+    except SimulationError:
+        return None
+    assessment = experiment.assess(compared)
+    return Refit(
+        entry,
+        solution,
+        compared,
+        assessment,
+        unseen_gain(
+            *(_in_scope(c, solution.belief, entry.effect) for c in (compared_before, compared)), generator
+        ),
+        before.evaluation.chi_square - solution.evaluation.chi_square,
+    )
+
+
+def _in_scope(compared: dict[str, Compared], belief: Belief, name: str) -> dict[str, Compared]:
+    """The comparisons of the sequences that have an effect: what only some have is judged by those."""
+    if name not in belief.effects:
+        return compared
+    return {key: item for key, item in compared.items() if in_scope(belief, name, key)}
+
+
+def unseen_gain(
+    before: dict[str, Compared], after: dict[str, Compared], generator: np.random.Generator
+) -> GainInterval | None:
+    """Bootstrap interval of the log-likelihood gain over all unseen frames; None where there are too few."""
+    a, b = whiten_all(before), whiten_all(after)
+    unseen = ~a.seen
+    if not unseen.any():
+        return None
+    blocks = a.sequence[unseen] * 100_000 + a.frame[unseen] // BLOCK_FRAMES
+    if len(np.unique(blocks)) < 4:
+        blocks = a.sequence[unseen] * 100_000 + a.frame[unseen] // 2
+    if len(np.unique(blocks)) < 4:
+        return None
+    gain = gain_interval(a.residual[unseen], b.residual[unseen], blocks, generator=generator)
+    falls = [_unseen_square(before[name]) - _unseen_square(after[name]) for name in before]
+    return replace(gain, plain=float(np.nanmean(falls)))
+
+
+def _unseen_square(item: Compared) -> float:
+    """Mean square of the distance in unseen frames, per coordinate [sigma^2]; NaN where there are none."""
+    window = slice(*item.predict)
+    apart = (item.observation.position[window] - item.predicted[window])[item.observation.observed[window]]
+    return float(np.mean(apart**2)) / item.observation.sigma**2 if len(apart) else np.nan

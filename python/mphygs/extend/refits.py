@@ -1,0 +1,358 @@
+"""Refits of what a ranking promises: many are begun, few are brought to the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from mphygs.compare.assess import BUDGET_FLOOR
+from mphygs.diagnose.grid_error import may_have_all, unabsorbed
+from mphygs.diagnose.ranking import Entry, Ranking
+from mphygs.extend.following import (
+    BEHIND,
+    FINISHED,
+    LINEAR,
+    Begun,
+    at_their_places,
+    followed_onward,
+    told_by_prediction,
+)
+from mphygs.extend.lent import with_lent_materials
+from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
+from mphygs.extend.settle import ALIKE, ALIKE_EXCESS, RIVAL
+from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, without_memory
+from mphygs.extend.step import Step
+from mphygs.fit.countdown import Countdown
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.places import movable, relocated
+from mphygs.fit.schedule import SCREENING_ACCURACY
+from mphygs.fit.side_by_side import side_by_side, waves
+from mphygs.simulate.errors import SimulationError
+
+# So many effects are begun to be refitted; beyond FINISHED of them, those within a factor of the best chi^2
+# are brought to the end.
+BEGUN, NEARLY = 8, 1.25
+# Jacobians of a refit that is begun; where all frames are nearly right; from materials that were not fitted.
+# Far from the data damping goes to its strength in stages, and the right one may be the last to get there.
+FIRST, FIRST_NEAR, FIRST_AFAR = 3, 2, 8
+# The share of the cost that the last of these may promise. Far off more of what is promised comes later.
+ACCURACY, ACCURACY_AFAR = 1e-3, 1e-4
+# An effect predicted to explain less than this share of what the best would is not begun.
+WORTH_A_TRY = 0.1
+SIGNIFICANT = 1e-3
+# Below LINEAR [sigma] an effect is tried only where it is predicted to take a share of the excess, less
+# where trials of a few sizes predict it, and, short of this share of what the best takes, more than effects
+# that do nothing; so many of the best where none takes its share.
+NEAR_BEST, LAST_RESORT = 0.2, 2
+WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
+# Up to so many sigma an effect may bring so many times what its tangents promise, fewer times where the best
+# one is at the noise; one that would not come near the best one even then is not begun. What sets in has no
+# tangents.
+TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
+# Unless one that promised hardly more comes near: then tangents promise too little. This share is as much.
+AS_MUCH = 0.9
+# Where the best one is at the floor, an effect whose place is not fitted yet may leave so many times as much
+# beyond noise as rivals may.
+MISPLACED_BEYOND = 10.0
+# An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
+# followed.
+HOPELESS = 10.0
+
+
+def promising(ranking: Ranking) -> list[Entry]:
+    """Entries worth a refit: significant, the best first; physics and faults each get a hearing.
+
+    Where the misfit is large the linear prediction is a poor judge: dissipative effects, say, are told apart
+    by refits, not by scores. So many are begun and few are finished. Where it is small the prediction holds,
+    and what would leave nearly all of the misfit, or explains less than an effect that does nothing, is not
+    tried.
+    """
+    good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
+    if ranking.chi_square < LINEAR**2 * ranking.rows:
+        beyond = ranking.chi_square - ranking.rows
+        # Smooth decoys do as well as most effects before a refit: they exclude none that is near the best.
+        most = good[0].statistic if good else 0.0
+        floor = min(ranking.decoy_statistic, NEAR_BEST * most)
+        good = [e for e in good if e.statistic > floor]
+        # Where none takes its share, two that lead are all that is left to try.
+        good = [e for e in good if e.statistic > WORTH_A_REFIT[e.kind] * beyond] or good[:LAST_RESORT]
+    if not good:
+        return []
+    chosen = [e for e in good if e.statistic > WORTH_A_TRY * good[0].statistic][:BEGUN]
+    for kind in ("smooth", "threshold", "measurement"):
+        rest = [e for e in good if e.kind == kind]
+        if rest and rest[0] not in chosen and rest[0].statistic > 0.02 * good[0].statistic:
+            chosen.append(rest[0])
+    return chosen
+
+
+def refits_of(
+    experiment: Experiment,
+    current: Step,
+    window: tuple[float, Solution],
+    ranking: Ranking,
+    spacing: float,
+    generator: np.random.Generator,
+    say: Callable[[str], None],
+    *,
+    afar: bool = False,
+) -> list[Refit]:
+    """Refits of the promising entries, those that are closest after a few iterations brought to the end.
+
+    afar: whether the window is seen from materials that were not fitted to it.
+    """
+    begun: list[Begun] = []
+    # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
+    near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
+    iterations = FIRST_AFAR if afar else FIRST_NEAR if near else FIRST
+    accuracy = ACCURACY_AFAR if afar else ACCURACY
+    entries = promising(ranking)
+    countdown = Countdown(say, "refits begun", len(entries))
+    for wave in waves(entries):
+        best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
+        # From afar no first iteration says how far one leads, and a few frames cost little.
+        hopeless = np.inf if afar else HOPELESS * best
+        chosen = [entry for entry in wave if not _far_behind(entry, ranking, begun)]
+
+        def start(own: Experiment, entry: Entry, hopeless: float = hopeless) -> Solution | None:
+            return start_refit(
+                own,
+                window[1],
+                entry,
+                spacing,
+                share=window[0],
+                iterations=iterations,
+                hopeless=hopeless,
+                accuracy=accuracy,
+                report=say,
+            )
+
+        for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
+            if solution is not None:
+                begun.append((solution.evaluation.chi_square, entry, solution))
+        countdown.done(len(wave))
+    begun = _with_limits(experiment, begun, ranking, window[0], spacing, say, iterations, accuracy)
+    if afar:
+        begun = at_their_places(experiment, begun, window[0], spacing, say)
+        begun = with_lent_materials(
+            experiment, begun, window[0], spacing, generator.spawn(1)[0], say,
+            iterations=iterations, accuracy=accuracy,
+        )  # fmt: skip
+    begun.sort(key=lambda item: item[0])
+
+    def finished(of: Sequence[Begun]) -> list[Refit]:
+        return _finished(experiment, current, of, near, spacing, generator, say)
+
+    if window[0] == 1.0 or not begun:
+        return finished(begun)
+    # Over a short window many effects do alike: a few iterations on all frames tell them apart. Where none of
+    # those does any good there, a short window had the wrong ones in front.
+    limit = ALIKE * begun[0][0]
+    alike, behind = ([item for item in begun if (item[0] < limit) is side] for side in (True, False))
+    wider, alike = _contained(alike)
+    alike, astray = told_by_prediction(experiment, alike, spacing, say)
+    behind = [*astray, *behind]
+    found = finished(followed_onward(experiment, window[0], alike, spacing, say))
+    if wider:
+        if _spared(experiment, found, wider, spacing):
+            found = [replace(r, contained_in=wider_than(r.entry.effect, _effects(wider))) for r in found]
+        elif not any(_at_noise(r) for r in found):
+            found += finished(followed_onward(experiment, window[0], wider, spacing, say))
+    if behind and not any(r.pays or r.may_pay for r in found):
+        behind = behind[:FINISHED]
+        say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
+        found += finished(followed_onward(experiment, window[0], behind, spacing, say))
+    return found
+
+
+def _with_limits(
+    experiment: Experiment,
+    begun: Sequence[Begun],
+    ranking: Ranking,
+    share: float,
+    spacing: float,
+    say: Callable[[str], None],
+    iterations: int = FIRST,
+    accuracy: float = ACCURACY,
+) -> list[Begun]:
+    """The refits, with a viscosity begun where a relaxation led that is over in a short time: alone it may be
+    far from its strength yet."""
+    led = next((fit.belief for _, entry, fit in begun if entry.effect == "relaxation"), None)
+    entry = next((e for e in ranking.entries if e.effect == LIMITS["relaxation"]), None)
+    if led is None or entry is None:
+        return list(begun)
+    fps = experiment.capture.sequence(next(iter(experiment.fitted))).fps
+    start = without_memory(led, fps, short=SHORT_ENOUGH)
+    if start is None:
+        return list(begun)
+    try:
+        problem = experiment.window(spacing, share)
+        fit = minimise(problem, start, iterations=iterations, relative_tolerance=accuracy)
+    except SimulationError:
+        return list(begun)
+    own = next((chi_square for chi_square, e, _ in begun if e is entry), np.inf)
+    say(f"{entry.effect} from the relaxation, whose time is short: {fit.evaluation.misfit:.3f} sigma")
+    if fit.evaluation.chi_square >= own:
+        return list(begun)
+    rest = [item for item in begun if item[1] is not entry]
+    return [*rest, (fit.evaluation.chi_square, entry, fit)]
+
+
+def _at_noise(refit: Refit) -> bool:
+    """Whether a refit pays and leaves noise alone."""
+    return refit.pays and refit.assessment.worst <= AT_FLOOR
+
+
+def _effects(begun: Sequence[Begun]) -> list[str]:
+    return [entry.effect for _, entry, _ in begun]
+
+
+def _contained(
+    begun: Sequence[Begun],
+) -> tuple[list[Begun], list[Begun]]:
+    """Refits whose effect is another one of them with more numbers that bring little, and the rest."""
+    left = {entry.effect: chi - fit.evaluation.data_rows for chi, entry, fit in begun}
+
+    def brings_little(item: Begun) -> bool:
+        simple = simple_of(item[1].effect)
+        return simple in left and left[simple] < RIVAL * left[item[1].effect]
+
+    wider, rest = ([item for item in begun if brings_little(item) is side] for side in (True, False))
+    return wider, rest
+
+
+def _spared(
+    experiment: Experiment,
+    found: Sequence[Refit],
+    wider: Sequence[Begun],
+    spacing: float,
+) -> bool:
+    """Whether effects with more numbers need no refit: what the simpler ones leave may be the grid's own,
+    which more numbers only take up."""
+    simple = [r for r in found if wider_than(r.entry.effect, _effects(wider))]
+    return len(simple) == len(wider) and all(
+        r.pays and may_have_all(experiment, spacing, r.belief, r.solution.evaluation) for r in simple
+    )
+
+
+def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[Begun]) -> bool:
+    """Whether an entry stays behind what is reached even if it brings many times its promise; not where one
+    that promised hardly more is near the best already."""
+    best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
+    times = BEYOND_TANGENTS if best > BUDGET_FLOOR * ranking.rows else BEYOND_NOISE
+    least = ranking.chi_square - times * entry.statistic
+    telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
+    promised_too_little = any(
+        AS_MUCH * other.statistic < entry.statistic
+        for chi_square, other, _ in begun
+        if other.kind != "threshold" and chi_square < ALIKE * best
+    )
+    return telling and least > ALIKE * best and not promised_too_little
+
+
+def _finished(
+    experiment: Experiment,
+    current: Step,
+    begun: Sequence[Begun],
+    near: bool,
+    spacing: float,
+    generator: np.random.Generator,
+    say: Callable[[str], None],
+) -> list[Refit]:
+    """The refits that are closest, brought to the end. begun: chi^2, entry and fit, the best first."""
+    finished: list[Refit] = []
+
+    def finish(entry: Entry, solution: Solution) -> None:
+        result = finish_refit(
+            experiment,
+            current.solution,
+            current.compared,
+            entry,
+            solution,
+            spacing,
+            generator=generator,
+            accuracy=SCREENING_ACCURACY,
+            hopeless=_hopeless(experiment, finished, spacing),
+            anew=not any(_at_noise(r) for r in finished),
+            report=say,
+        )
+        if result is not None:
+            finished.append(result)
+            say(
+                f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma "
+                "in the worst range"
+            )
+
+    rest: Sequence[Begun] = ()
+    for number, (chi_square, entry, solution) in enumerate(begun):
+        # What the coarse grid has of its own may put the true effect a little behind.
+        # Only one that pays ends the search.
+        behind = ALIKE if near and any(r.pays for r in finished) else BEHIND
+        if near and number >= FINISHED:
+            ends = not _worth_the_end(begun, number, finished)
+        else:
+            ends = chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]
+        if ends:
+            rest = begun[number:]
+            break
+        finish(entry, solution)
+    if near and rest and not any(_at_noise(r) for r in finished):
+        for _, entry, solution in _put_right(experiment, begun, rest, spacing, say):
+            finish(entry, solution)
+    return finished
+
+
+def _put_right(
+    experiment: Experiment,
+    begun: Sequence[Begun],
+    rest: Sequence[Begun],
+    spacing: float,
+    say: Callable[[str], None],
+) -> list[Begun]:
+    """Of refits that are too far behind the best to be brought to the end, those that are not once their
+    place is fitted: a place is proposed from a few, half a cell from its own or more. None where even the
+    best leaves more than rivals may."""
+    rows = begun[0][2].evaluation.data_rows
+    least = ALIKE_EXCESS * rows
+    if begun[0][0] - rows > least:
+        return []
+    near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
+
+    def relocate(own: Experiment, item: Begun) -> Begun:
+        _, entry, fit = item
+        with suppress(SimulationError):
+            fit = relocated(own.problem(spacing), fit, report=say)
+        return fit.evaluation.chi_square, entry, fit
+
+    placed = side_by_side(experiment, relocate, near)
+    return [item for item in placed if item[0] - rows <= BEHIND * least]
+
+
+def _worth_the_end(
+    begun: Sequence[Begun], number: int, finished: Sequence[Refit]
+) -> bool:
+    """Whether a further refit is brought to the end near the floor, where all are within a factor of the best
+    and what they leave beyond noise tells: as little as the best, or as rivals may; or, as long as none of so
+    many again is at the noise, what the true effect may leave after few iterations."""
+    rows = begun[number][2].evaluation.data_rows
+    beyond, least = begun[number][0] - rows, begun[0][0] - rows
+    if beyond <= max(NEARLY * least, ALIKE_EXCESS * rows):
+        return True
+    return number < 2 * FINISHED and beyond <= BEHIND * least and not any(_at_noise(r) for r in finished)
+
+
+def _hopeless(experiment: Experiment, finished: Sequence[Refit], spacing: float) -> float:
+    """chi^2 of the fitted frames above which no further refit is brought to the end."""
+    # What does not pay may have bought the fitted frames: it sets no bound.
+    paying = [r for r in finished if r.pays]
+    if not paying:
+        return np.inf
+    best = min(paying, key=lambda r: r.solution.evaluation.chi_square)
+    evaluation = best.solution.evaluation
+    # Nothing is better than noise, nor told apart within what the grid has of its own.
+    own = unabsorbed(experiment, spacing, best.belief, evaluation)
+    return ALIKE * max(evaluation.chi_square, evaluation.data_rows * (1.0 + own**2))

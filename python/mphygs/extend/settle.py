@@ -1,0 +1,189 @@
+"""Which of the refitted models is kept: the best, on the grid that decides, and what ties with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from mphygs.extend.finer import carried_over, closest, lent, less_the_change
+from mphygs.extend.grids import complete, on_grid, refined
+from mphygs.extend.refit import AT_FLOOR, Refit
+from mphygs.extend.special import simple_of, wider_than
+from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.problem import Problem
+from mphygs.fit.side_by_side import side_by_side
+from mphygs.model.belief import Parameter
+
+# Effects whose excess is within this factor of the best one's, or below the second number, are its rivals, so
+# many at most.
+RIVAL, ALIKE_EXCESS, RIVALS = 2.0, 0.1, 4
+# So many sigma a coarse grid may leave of a model that is right: up to it the deciding one is asked.
+MAY_BE_THE_GRIDS = 1.2
+# Refits within this factor of the best chi^2 may still be the best one: on more frames, on a finer grid.
+ALIKE = 1.35
+
+
+def choose(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The refit that explains most on all frames, and its rivals: those that explain nearly as much, or all
+    but what a coarse grid may have of its own."""
+    ordered = sorted(refits, key=lambda r: excess(r.assessment))
+    best = ordered[0]
+    limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
+    # Where one model is at the noise, the grid has nothing of its own.
+    grids = MAY_BE_THE_GRIDS if best.assessment.worst > AT_FLOOR else EXPLAINED
+    near = [r for r in ordered[1:] if excess(r.assessment) < limit or r.assessment.worst <= grids]
+    return best, near[:RIVALS]
+
+
+def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float) -> Step:
+    """The model of a refit as a step. since: see `Step`."""
+    added = (refit.entry.effect,)
+    return Step(
+        refit.belief,
+        refit.solution,
+        refit.compared,
+        refit.assessment,
+        spacing,
+        added,
+        refit.contained_in,
+        tuple(refits),
+        since,
+    )
+
+
+def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
+    """Of those that do as well as the best the one with fewest parameters, and the rest."""
+    same = [best, *(r for r in rivals if r.spacing == best.spacing and does_alike(r, best))]
+    chosen = min(same, key=_order)
+    return chosen, [step for step in (best, *rivals) if step is not chosen]
+
+
+def _beside(
+    experiment: Experiment, rival: Step, best: Step, report: Callable[[str], None] | None
+) -> Step | None:
+    """A rival on the grid of the best step, None where it is hopeless or cannot be simulated there."""
+    hopeless = ALIKE**0.5 * best.solution.evaluation.misfit
+    if best.lender is None:
+        return on_grid(experiment, rival, best.spacing, report, hopeless=hopeless, tangents=False)
+    problem = less_the_change(experiment, best)
+    nearest = _nearest(problem, rival, best)
+    moved = nearest and carried_over(experiment, problem, nearest, best, report)
+    if moved is None or not _may_lead(moved, best):
+        return moved
+    return lent(experiment, moved, best.spacing, best.lender, report)
+
+
+def _may_lead(rival: Step, best: Step) -> bool:
+    """Whether a rival could take the best step's place."""
+    if not does_alike(best, rival):
+        return not _takes_the_grids(best, rival)
+    return does_alike(rival, best) and _order(rival) < _order(best)
+
+
+def _order(step: Step) -> tuple[int, float]:
+    """Of models that do alike the one with fewest parameters comes first, then the one that explains most."""
+    return len(step.belief.free), excess(step.assessment)
+
+
+def _nearest(problem: Problem, rival: Step, best: Step) -> Step | None:
+    """The rival with its own materials or with those that the best step found on its finer grid, whichever
+    fit better; None where neither can be simulated."""
+    found = {p.key: p for p in best.belief.parameters}
+
+    def shared(p: Parameter) -> bool:
+        return p.free and p.key in found and p.key.split(".")[0] not in rival.added
+
+    parameters = tuple(p.found(found[p.key]) if shared(p) else p for p in rival.belief.parameters)
+    nearest = closest(problem, (rival.belief, replace(rival.belief, parameters=parameters)))
+    return nearest and replace(rival, belief=nearest)
+
+
+def _takes_the_grids(best: Step, rival: Step) -> bool:
+    """Whether what a rival explains beyond an explained model is the grid's, which is no gain: it is not
+    explained, or not at the floor either and has more parameters for what the best one is excused."""
+    if not best.explained:
+        return False
+    more = len(rival.belief.free) > len(best.belief.free)
+    excused = min(best.assessment.worst, rival.assessment.worst) > EXPLAINED
+    return not rival.explained or (excused and more)
+
+
+def settled(
+    experiment: Experiment,
+    steps: Sequence[Step],
+    best: Step,
+    rivals: Sequence[Step],
+    report: Callable[[str], None] | None,
+    *,
+    screening: bool,
+) -> Step:
+    """The better of the best step and its rivals on the grid that the best one asks for, with its ties.
+
+    What reaches the floor as well cannot be told from it. An effect that is a rival with more numbers is held
+    against that one first: where it reaches the floor, so would the wider one, which is a tie without a fit.
+    """
+    tried = best.refits
+    best, rivals = plainest(best, rivals)
+
+    def at_floor(step: Step, others: Sequence[Step]) -> Step:
+        tied = any(does_alike(r, step) or r.assessment.worst <= MAY_BE_THE_GRIDS for r in others)
+        return refined(experiment, [*steps, step], report, screening=screening, tied=tied)
+
+    wider, rest = _wider_first([best, *rivals])
+    if wider:
+        simple = at_floor(rest[0], [*wider, *rest[1:]])
+        if simple.explained:
+            ties = (*simple.ties, *(step.added[0] for step in wider))
+            first = replace(simple, ties=ties)
+            return replace(among(experiment, first, rest[1:], report, screening=screening), refits=tried)
+        if best is not rest[0]:
+            # The wider one led, and its numbers are needed.
+            best, rivals = at_floor(best, rivals), [simple if r is rest[0] else r for r in rivals]
+        else:
+            best = simple
+    else:
+        best = at_floor(best, rivals)
+    if not best.explained:
+        best = replace(best, ties=())
+    return replace(among(experiment, best, rivals, report, screening=screening), refits=tried)
+
+
+def _wider_first(steps: Sequence[Step]) -> tuple[list[Step], list[Step]]:
+    """The steps whose effect is that of another one with more numbers, the first step or that other one's
+    own, and the rest, that other one first; none where the first step has no part in it, or where those
+    numbers explained far more on the grid so far."""
+    best = steps[0]
+    simple = next((s for s in steps if s.added[0] == simple_of(best.added[0])), best)
+    left = excess(simple.assessment)
+    names = [s.added[0] for s in steps if left < RIVAL * excess(s.assessment) + ALIKE_EXCESS]
+    of_it = wider_than(simple.added[0], names)
+    wider = [step for step in steps if step.added[0] in of_it]
+    return wider, [simple, *(s for s in steps if s is not simple and s not in wider)]
+
+
+def among(
+    experiment: Experiment,
+    best: Step,
+    rivals: Sequence[Step],
+    report: Callable[[str], None] | None,
+    *,
+    screening: bool = False,
+) -> Step:
+    """The better of a step and its rivals on the step's grid, with those that do alike as its ties.
+
+    screening: see `complete`.
+    """
+    alike = [rival for rival in rivals if rival.spacing == best.spacing]
+    others = [rival for rival in rivals if rival.spacing != best.spacing] if best.explained else []
+    moved = side_by_side(experiment, lambda own, rival: _beside(own, rival, best, report), others)
+    alike += [rival for rival in moved if rival is not None]
+    alike.sort(key=lambda step: excess(step.assessment))
+    beaten = alike and not does_alike(best, alike[0])
+    if beaten and not _takes_the_grids(best, alike[0]):
+        best, alike = alike[0], [best, *alike[1:]]
+    tied = [best, *(r for r in alike if does_alike(r, best))]
+    tied.sort(key=_order)
+    named = dict.fromkeys((*(r.added[0] for r in tied[1:]), *(name for r in tied for name in r.ties)))
+    chosen = replace(tied[0], ties=tuple(name for name in named if name not in tied[0].added))
+    return complete(experiment, chosen, screening=screening)
