@@ -32,6 +32,7 @@ from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
+from mphygs.simulate.errors import SimulationError
 
 # Effects that do nothing, scored beside the candidates.
 DECOYS = 20
@@ -71,6 +72,30 @@ def _stack(
         else:
             decoys.append(np.zeros((len(blocks[-1]), DECOYS)))
     return np.concatenate(blocks), np.concatenate(decoys)
+
+
+def _simulable(
+    experiment: Experiment,
+    problem: Problem,
+    belief: Belief,
+    ways: Sequence[Way],
+    report: Callable[[str], None] | None,
+) -> list[Way]:
+    """The ways of those effects that can be simulated beside the model at their null. Raises SimulationError
+    where there is none."""
+    lost: dict[str, SimulationError] = {}
+    for name in dict.fromkeys(way.effect for way in ways):
+        own = [way for way in ways if way.effect == name]
+        try:
+            _stack(experiment, problem, belief, own, None, np.random.default_rng(0))
+        except SimulationError as error:
+            lost[name] = error
+            if report:
+                report(f"{name} is left out, for it cannot be simulated: {error}")
+    left = [way for way in ways if way.effect not in lost]
+    if not left and lost:
+        raise next(iter(lost.values()))
+    return left
 
 
 def _off_at_the_start(experiment: Experiment, problem: Problem, evaluation: Evaluation) -> bool:
@@ -126,7 +151,12 @@ def rank(
     if _off_at_the_start(experiment, problem, evaluation):
         ways += late_ways(belief, body, names=names)
     # Decoys draw numbers of their own: the rest is the same with and without them.
-    tangents, fakes = _stack(experiment, problem, belief, ways, report, generator.spawn(1)[0])
+    draw = generator.spawn(1)[0]
+    try:
+        tangents, fakes = _stack(experiment, problem, belief, ways, report, draw)
+    except SimulationError:
+        ways = _simulable(experiment, problem, belief, ways, report)
+        tangents, fakes = _stack(experiment, problem, belief, ways, report, draw)
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
     between = ways_between(belief, body, ways, tangents, full_residual, full_jacobian)
     if between:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from mphygs.capture.written import replace_file
 from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.step import Step
 from mphygs.extend.steps import left_out_of, restored, state_of, step_document
@@ -71,9 +72,7 @@ class Kept:
 
 def write_kept(path: Path, document: Mapping[str, object]) -> None:
     """Write JSON in one go: a command that is stopped leaves the old file or the new one."""
-    part = path.parent / f".{path.name}"
-    part.write_text(json.dumps(document, indent=1) + "\n")
-    part.replace(path)
+    replace_file(path, json.dumps(document, indent=1) + "\n")
 
 
 def read_kept(path: Path, program: str) -> dict:

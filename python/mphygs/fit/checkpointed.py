@@ -9,10 +9,11 @@ from functools import partial
 
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, covariance
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.paper_plan import PaperStage, paper_plan, remembers
 from mphygs.fit.run import Run, StageRecord
 from mphygs.fit.schedule import Stage, fit_belief, plan_of
+from mphygs.fit.uncertainty import grid_change, spread_of
 
 
 def _forget(experiment: Experiment) -> None:
@@ -20,6 +21,15 @@ def _forget(experiment: Experiment) -> None:
     for problem in experiment.problems.values():
         for predictor in problem.predictors.values():
             predictor.forget()
+
+
+def _ratio(plan: Sequence[Stage | PaperStage], number: int) -> float:
+    """How much coarser the grid of the stage before was, which fitted the same frames; 1 where it tells
+    nothing of the grid."""
+    stage, before = plan[number], plan[number - 1] if number else None
+    if not isinstance(before, Stage) or not isinstance(stage, Stage) or before.share != stage.share:
+        return 1.0
+    return before.spacing / stage.spacing
 
 
 def fit_run(
@@ -79,11 +89,15 @@ def fit_run(
             float(solution.evaluation.misfit),
         )
         last = len(run.history) + 1 == len(plan)
+        before, coarser = run.belief, _ratio(plan, len(run.history))
         run = run.after(record, solution.belief)
         if last:
             run = replace(
                 run,
-                covariance=covariance(solution.evaluation),
+                covariance=spread_of(
+                    solution.evaluation,
+                    grid_change(before, solution.belief, coarser) if coarser > 1.0 else None,
+                ),
                 information=information_of(solution.evaluation, len(solution.belief.free)),
             )
         run.save()

@@ -49,8 +49,9 @@ PATIENCE = 2
 # and iterations.
 LOST, LOST_FROM = 2.0, 2.0
 ONWARD = ((0.25, 6), (0.5, 4))
-# Common factors on all Young's moduli that are tried before anything else.
-SCALES = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5))
+# Common factors on all Young's moduli that are tried before anything else; share of the cost by which one
+# beyond these has to be better than the one before.
+SCALES, BETTER = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)), 0.01
 
 
 @dataclass(frozen=True)
@@ -208,15 +209,41 @@ def at_scales(
 
 
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
-    """Move all free Young's moduli together to the factor that fits the first frames best."""
-    best, best_cost = None, np.inf
-    for scale, cost, trial in at_scales(problem, belief):
+    """Move all free Young's moduli together to the factor that fits the first frames best, beyond the scales
+    that are usual as long as that fits better still, within their bounds."""
+    best, best_cost, at, seen = None, np.inf, 1.0, []
+
+    def tried(scale: float, cost: float, trial: Belief) -> bool:
+        nonlocal best, best_cost, at
         if report:
             report(f"scale {scale:.3g}: cost {cost:.4g}")
+        seen.append(scale)
+        better = cost < (1.0 - BETTER) * best_cost
         if cost < best_cost:
-            best, best_cost = trial, cost
+            best, best_cost, at = trial, cost, scale
+        return better
+
+    for scale, cost, trial in at_scales(problem, belief):
+        tried(scale, cost, trial)
     if best is None:
-        raise SimulationError("no stiffness between 3 kPa and 3 MPa could be simulated from the start")
+        raise SimulationError(
+            f"no stiffness from {min(SCALES):.2g} to {max(SCALES):.2g} times the usual one could be "
+            "simulated from the start"
+        )
+    step = SCALES[1] / SCALES[0]
+    onward = step if at == max(seen) else 1.0 / step if at == min(seen) else None
+    moved = best
+    while onward is not None:
+        trial = stiffened(moved, onward)
+        if trial.free == moved.free:
+            break  # at its bounds
+        try:
+            better = tried(at * onward, problem.evaluate(trial, jacobian=False).cost, trial)
+        except SimulationError:
+            break
+        if not better:
+            break
+        moved = trial
     return about_its_scale(best)
 
 

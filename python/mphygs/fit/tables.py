@@ -12,6 +12,9 @@ from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
 
+# Of the noise [sigma]: a model that leaves more determines nothing, however well the motion would tell it.
+FAR = 5.0
+
 
 def parameters_of(run: Run, found: Mapping[str, Interval] | None = None) -> dict[str, dict[str, object]]:
     """Fitted parameters of a run. found: intervals from the likelihood by key, where they were asked for.
@@ -23,6 +26,12 @@ def parameters_of(run: Run, found: Mapping[str, Interval] | None = None) -> dict
             f"{run.folder}: is not complete; expected a finished run (fit --out {run.folder} --resume)"
         )
     document = parameters_document(run.belief, run.information, run.covariance)
+    misfit = run.history[-1].misfit if run.history else 0.0
+    if misfit > FAR:
+        for entry in document.values():
+            if entry.get("determined"):
+                why = f"the model leaves {misfit:.3g} times the noise, and what it lacks bends this"
+                entry |= {"determined": False, "note": why}
     for key, interval in (found or {}).items():
         document[key]["interval"] = [interval.lower, interval.upper]
     return document

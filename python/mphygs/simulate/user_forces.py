@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from mphygs.model.point_state import PointState
 from mphygs.model.registry import effect
 from mphygs.model.user_effect import UserEffect, implementation, writes
 from mphygs.simulate.body import Body
+from mphygs.simulate.errors import SimulationError
 
 Direction = tuple[np.ndarray, np.ndarray | None]
 
@@ -87,9 +88,11 @@ class UserForces:
             named = {p.name: parameters[first + k] for k, p in enumerate(specs)}
             first += len(specs)
             if writes(own, "force"):
-                force = force + _checked(name, "force", own.force(state, named), position)
+                given = _called(name, own.force, state, named)
+                force = force + _checked(name, "force", given, position)
             else:
-                stress = stress + _checked(name, "stress", own.stress(state, named), deformation)
+                given = _called(name, own.stress, state, named)
+                stress = stress + _checked(name, "stress", given, deformation)
         return tuple(t for t, used in ((force, self._forces), (stress, self._stresses)) if used)
 
     def _named(self, results: Sequence[Tensor]) -> tuple[Tensor | None, Tensor | None]:
@@ -176,6 +179,17 @@ class UserForces:
         self.mass_bar += full[3].numpy()
         self.parameter_bar += full[4].numpy()
         return full[0].numpy(), full[1].numpy(), full[2].numpy()
+
+
+def _called(
+    name: str, function: Callable[..., Tensor], state: PointState, parameters: dict[str, Tensor]
+) -> Tensor:
+    """What a user's function returns. Raises SimulationError where it raises anything."""
+    try:
+        return function(state, parameters)
+    except Exception as error:
+        what = " ".join(str(error).split()) or "no more is said"
+        raise SimulationError(f"effect '{name}': {type(error).__name__}: {what}") from error
 
 
 def _checked(name: str, function: str, result: object, like: Tensor) -> Tensor:

@@ -1,0 +1,65 @@
+"""How sure a fit says that its numbers are: the noise, what a model leaves, and the grid."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bar_capture import bar_belief, bar_capture
+from command_example import answer
+from extend_example import SIGMA, recorded
+from mphygs.capture.record import Known
+from mphygs.capture.save import save_capture
+from mphygs.fit import __main__ as fit
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.levenberg_marquardt import covariance, minimise
+from mphygs.fit.uncertainty import grid_change, spread_of
+from mphygs.simulate.settings import Settings
+
+FREE, FRAMES = ("part0.youngs_modulus",), 24
+
+
+def test_what_a_model_leaves_counts_as_noise() -> None:
+    shake = 0.006 * np.sin(np.linspace(0.0, 9.0, FRAMES))[:, None] * [0.2, 1.0, 0.4]
+    capture = bar_capture(frames=FRAMES, fps=60.0, motion=shake, fit=(0, FRAMES), sigma=SIGMA)
+    belief = bar_belief(capture, youngs_modulus=5e4, free=FREE)
+    for truth, misfit in ((belief, 1.0), (belief.with_effect("mass_damping", {"alpha": 8.0}), 5.0)):
+        made = recorded(capture, truth)
+        problem = Experiment.of(made, Settings(0.01, workers=1)).problem(0.01)
+        found = minimise(problem, belief).evaluation
+        left = max(found.misfit, 1.0)
+        assert left == pytest.approx(1.0, abs=0.1) if misfit == 1.0 else left > misfit
+        np.testing.assert_allclose(spread_of(found), covariance(found) * left**2)
+
+
+def test_a_grid_counts_by_how_far_a_finer_one_would_still_move_a_number() -> None:
+    capture = bar_capture(lengths=(0.03, 0.03))
+    free = ("part0.youngs_modulus", "part1.youngs_modulus")
+    fine = bar_belief(capture, youngs_modulus=1e5, free=free)
+    coarse = fine.with_parameter(free[0], value=1.3e5)
+    # An error of c h^2 in ln E: from a grid twice as coarse, a third of the change is left.
+    change = grid_change(coarse, fine, 2.0)
+    np.testing.assert_allclose(change, [-np.log(1.3) / 3.0, 0.0])
+    at_bound = coarse.with_parameter(free[0], value=coarse[free[0]].upper)
+    np.testing.assert_allclose(grid_change(at_bound, fine, 2.0), 0.0)
+    with pytest.raises(ValueError, match="ratio of spacings 1; expected above 1"):
+        grid_change(coarse, fine, 1.0)
+
+
+def test_a_number_that_the_model_bends_is_told_as_not_determined(tmp_path: Path) -> None:
+    shake = 0.006 * np.sin(np.linspace(0.0, 9.0, FRAMES))[:, None] * [0.2, 1.0, 0.4]
+    known = Known(density={"part0": 1000.0})
+    capture = bar_capture(
+        frames=FRAMES, fps=60.0, motion=shake, fit=(0, FRAMES), sigma=SIGMA, known=known
+    )
+    truth = bar_belief(capture, youngs_modulus=5e4)
+    for name, belief in (("right", truth), ("wrong", truth.with_effect("mass_damping", {"alpha": 8.0}))):
+        folder = tmp_path / name
+        save_capture(replace(recorded(capture, belief), name=name), folder)
+        found = answer(fit.main, folder, "--out", tmp_path / f"{name}-run", "--spacing", "0.01")
+        told = found["parameters"]["part0.youngs_modulus"]
+        assert told["determined"] is (name == "right")
+        assert ("times the noise" in told.get("note", "")) is (name == "wrong")
