@@ -107,7 +107,7 @@ def test_a_hopeless_fit_is_resumed_to_the_same_numbers(
             kept.append(self)
 
     run = Keeping(
-        folder=tmp_path, options={}, seed=0, capture=tmp_path, digest="", settings=experiment.settings,
+        folder=tmp_path, options={}, seed=0, capture=tmp_path, digest="0" * 64, settings=experiment.settings,
         ranges=experiment.fitted, start=start, belief=start,
     )  # fmt: skip
     whole = fit_run(run, experiment)
@@ -220,7 +220,7 @@ def test_a_run_is_fitted_by_the_plan_that_it_is_for(
     asked: list[tuple[Stage, ...]] = []
     monkeypatch.setattr(checkpointed, "fit_belief", lambda *_a, plan, **_k: asked.append(plan))
     run = Run(
-        folder=tmp_path, options={}, seed=0, capture=tmp_path, digest="", settings=experiment.settings,
+        folder=tmp_path, options={}, seed=0, capture=tmp_path, digest="0" * 64, settings=experiment.settings,
         ranges=experiment.fitted, start=belief, belief=belief,
     )  # fmt: skip
     fit_run(run, experiment, screening=screening)
