@@ -143,7 +143,10 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         if found.rankings:
             ranking = found.rankings[0]
         else:
-            ranking = _ranking(experiment, steps[0], spacing, state.seed, candidates, console)
+            # The observations may be others than those of the first step: bad tracks are left out of them.
+            last = found.steps[-1]
+            last = steps[0] if last is steps[0] else step_at(experiment, last.belief, spacing)
+            ranking = _ranking(experiment, last, spacing, state.seed, candidates, console)
         entries, drift = ranking_entries(found.steps, ranking, experiment), drift_entries(ranking)
     missing = None
     if found.verdict == "unknown" or (options.force and found.verdict != "adequate"):
