@@ -165,7 +165,7 @@ def test_files_of_the_object_come_back_or_say_what_is_wrong(tmp_path: Path) -> N
     refused("zero or more", pixel=np.array(-1.0))
     refused("label", label=np.zeros(3))
     path.write_bytes(b"nothing")
-    with pytest.raises(CaptureError, match="cannot be read"):
+    with pytest.raises(CaptureError, match="is not an .npz file, or is truncated"):
         read_particles(path)
     with pytest.raises(CaptureError, match="holds no .ply"):
         read_parts(tmp_path)
