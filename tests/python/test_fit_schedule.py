@@ -279,7 +279,7 @@ def test_a_screening_fit_has_one_grid_whatever_the_rounding(
     assert [stage.spacing for stage in plan] == [coarse] * 3
 
 
-@pytest.mark.parametrize("young", [3e7, 4e3])
+@pytest.mark.parametrize("young", [3e7, 500.0])
 def test_a_stiffness_beyond_the_usual_ones_is_found(young: float) -> None:
     shake = 0.004 * np.sin(np.linspace(0.0, 6.0, 12))[:, None] * [0.0, 1.0, 0.5]
     capture = bar_capture(frames=12, fps=200.0, motion=shake, fit=(0, 12), gravity=np.zeros(3), sigma=1e-6)
@@ -291,7 +291,7 @@ def test_a_stiffness_beyond_the_usual_ones_is_found(young: float) -> None:
     found = schedule.find_scale(problem, start, tried.append)[FREE[0]].value
     # Scales are half a decade apart.
     assert abs(np.log10(found / young)) < 0.3
-    assert len(tried) >= len(schedule.SCALES) + (young > 3e6)
+    assert len(tried) > len(schedule.SCALES)
     # It ends at the bounds, not beyond them.
     bounded = start.with_parameter(FREE[0], upper=5e6)
     assert schedule.find_scale(problem, bounded)[FREE[0]].value <= 5e6

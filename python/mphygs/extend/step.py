@@ -10,6 +10,7 @@ import numpy as np
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.extend.refit import Refit
 from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.uncertainty import grid_change
 from mphygs.model.belief import Belief
 
 # The error counts as explained below this many sigma on every range.
@@ -77,18 +78,13 @@ def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, f
     """How far coordinates are from where an ever finer grid would lead, by the parameter's key.
 
     A model's numbers were fitted on the grid of `step` and are fitted on a finer one of `spacing` [m] now, as
-    `fitted`: their change over r^2 - 1, r the ratio of the spacings (Richardson, second order). What stood at
-    a bound on either grid says nothing.
+    `fitted` (see `grid_change`). What did not change, or stood at a bound on either grid, says nothing.
     """
-    ratio = (step.spacing / spacing) ** 2 - 1.0
-    if ratio <= 0.0:
+    ratio = step.spacing / spacing
+    if ratio <= 1.0:
         return {}
-    before = {p.key: p for p in step.belief.free}
-    return {
-        p.key: (p.coordinate - before[p.key].coordinate) / ratio
-        for p in fitted.free
-        if p.key in before and not (p.at_bound or before[p.key].at_bound)
-    }
+    change = grid_change(step.belief, fitted, ratio)
+    return {p.key: float(c) for p, c in zip(fitted.free, change, strict=True) if c}
 
 
 def known_budget(step: Step) -> bool:

@@ -33,12 +33,11 @@ from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.in_use import hold
 from mphygs.model.registry import USUAL_LAW, effects, laws
 from mphygs.simulate.settings import Settings, available_cores, check_effects
+from mphygs.simulate.timeline import MOST_SUBSTEPS
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
 Law = Literal[laws()]
-# In one pass over the frames of a sequence.
-MOST_SUBSTEPS = 1e7
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
 

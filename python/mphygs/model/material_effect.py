@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -86,3 +86,29 @@ def arm_in_part(settings: Mapping[str, object], object_: Points) -> np.ndarray:
     axis = np.asarray(settings["axis"], float)
     arm = (object_.points - object_.centroid[part]) @ (axis / np.linalg.norm(axis))
     return np.where(object_.point_part == part, arm, 0.0)
+
+
+class PartGradient(MaterialEffect):
+    """One quantity of one part, exponential along an axis, so that it is nowhere negative. quantity: of
+    `PointFields`."""
+
+    quantity: str
+    parameters = (ParameterSpec("slope", "1/m", 0.0, -1000.0, 1000.0, 10.0),)
+    settings = ("part", "axis")
+
+    def changed(
+        self,
+        material: PointFields,
+        values: Mapping[str, float],
+        settings: Mapping[str, object],
+        object_: Points,
+    ) -> PointFields:
+        """The material with the gradient in the part that the term names."""
+        factor = np.exp(values["slope"] * arm_in_part(settings, object_))
+        return replace(material, **{self.quantity: getattr(material, self.quantity) * factor})
+
+    def derivative(
+        self, quantity: str, values: Mapping[str, float], settings: Mapping[str, object], object_: Points
+    ) -> MaterialChange:
+        """The arm of every point [m]."""
+        return MaterialChange(**{self.quantity: arm_in_part(settings, object_)})

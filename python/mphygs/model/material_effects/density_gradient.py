@@ -2,37 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-
-import numpy as np
-
-from mphygs.model.descriptor import ParameterSpec
-from mphygs.model.material_effect import MaterialChange, MaterialEffect, PointFields, Points, arm_in_part
+from mphygs.model.material_effect import PartGradient
 
 
-class DensityGradient(MaterialEffect):
-    """Exponential along an axis, so that it is nowhere negative."""
+class DensityGradient(PartGradient):
+    """Density, exponential along an axis."""
 
     name = "density_gradient"
     summary = "density of one part times exp(slope (X - centroid).axis)"
-    parameters = (ParameterSpec("slope", "1/m", 0.0, -1000.0, 1000.0, 10.0),)
+    quantity = "density"
     order = 2
-    settings = ("part", "axis")
-
-    def changed(
-        self,
-        material: PointFields,
-        values: Mapping[str, float],
-        settings: Mapping[str, object],
-        object_: Points,
-    ) -> PointFields:
-        """The material with the gradient in the part that the term names."""
-        factor = np.exp(values["slope"] * arm_in_part(settings, object_))
-        return replace(material, density=material.density * factor)
-
-    def derivative(
-        self, quantity: str, values: Mapping[str, float], settings: Mapping[str, object], object_: Points
-    ) -> MaterialChange:
-        """The arm of every point [m]."""
-        return MaterialChange(density=arm_in_part(settings, object_))
