@@ -16,6 +16,8 @@ from mphygs.capture.save import save_capture
 from mphygs.fit import __main__ as fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance, minimise
+from mphygs.fit.of_run import experiment_of
+from mphygs.fit.run import load_run
 from mphygs.fit.uncertainty import grid_change, spread_of
 from mphygs.simulate.settings import Settings
 
@@ -63,3 +65,23 @@ def test_a_number_that_the_model_bends_is_told_as_not_determined(tmp_path: Path)
         told = found["parameters"]["part0.youngs_modulus"]
         assert told["determined"] is (name == "right")
         assert ("times the noise" in told.get("note", "")) is (name == "wrong")
+
+
+def test_a_fit_counts_how_far_its_grids_are_apart(tmp_path: Path) -> None:
+    shake = 0.006 * np.sin(np.linspace(0.0, 9.0, FRAMES))[:, None] * [0.2, 1.0, 0.4]
+    known = Known(density={"part0": 1000.0})
+    capture = bar_capture(
+        frames=FRAMES, fps=60.0, motion=shake, fit=(0, FRAMES), sigma=SIGMA, known=known
+    )
+    save_capture(recorded(capture, bar_belief(capture, youngs_modulus=5e4)), tmp_path / "bar")
+    told = answer(fit.main, tmp_path / "bar", "--out", tmp_path / "run", "--spacing", "0.007")
+    run = load_run(tmp_path / "run")
+    coarse, fine = run.history[-2:]
+    assert coarse.spacing > fine.spacing and run.earlier is not None
+    change = grid_change(run.earlier, run.belief, coarse.spacing / fine.spacing)
+    experiment, belief = experiment_of(run)
+    noise = spread_of(experiment.problem(fine.spacing).evaluate(belief))
+    np.testing.assert_allclose(run.covariance, noise + np.outer(change, change), rtol=1e-3)
+    (parameter,) = belief.free
+    std = told["parameters"]["part0.youngs_modulus"]["std"]
+    assert std >= 0.99 * abs(change[0]) * parameter.slope > 0.1 * std
