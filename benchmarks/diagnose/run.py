@@ -19,12 +19,14 @@ import numpy as np
 import tyro
 
 from mphygs.capture.format import load_capture
-from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
+from mphygs.diagnose.shaking import swing_ways
+from mphygs.diagnose.ways import smooth_ways
 from mphygs.extend.discover import first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
+from mphygs.model.registry import effect
 from mphygs.simulate.settings import Settings
 from mphygs.synth.__main__ import main as synth
 
@@ -66,7 +68,7 @@ def measured(folder: Path, options: Options) -> str:
     predictor = experiment.predictor(name, spacing)
     finer = experiment.predictor(name, default_spacing(capture))
     ways = smooth_ways(belief, predictor.body, hung=masses_of_loads(capture, [name]))
-    ways += base_motion_ways(belief, [float(f) for f in range(1, SHAKES + 1)])
+    ways += swing_ways(belief, effect("base_motion"), [float(f) for f in range(1, SHAKES + 1)])
     columns = [pair for way in ways for pair in way.columns]
     substep, fine_substep = predictor.stable_substep(belief), finer.stable_substep(belief)
     # Copies: a prediction of the same object that is kept would come back.

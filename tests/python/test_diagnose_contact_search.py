@@ -14,7 +14,6 @@ from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import contact_search
 from mphygs.diagnose.contact_search import (
-    USUAL_FRICTION,
     Plane,
     hold_friction,
     proposals,
@@ -23,7 +22,6 @@ from mphygs.diagnose.contact_search import (
     search_softer,
     sphere,
     walls,
-    with_wall,
 )
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
@@ -32,6 +30,7 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.prestress import RestShape
+from ways_example import WALL_EFFECT, with_wall
 
 SIGMA = 2e-4  # [m]
 # The measured bar is made on another grid than the one that looks at it.
@@ -171,7 +170,7 @@ def test_a_wall_in_a_belief_is_free_to_move() -> None:
 @pytest.mark.parametrize("rest", ["stress-free", "equilibrium"])
 def test_runs_from_shortly_before_the_misfit_are_those_from_the_start(rest: str) -> None:
     problem, observation, belief, evaluation = walled(rest)
-    runs = contact_search._Runs(problem, observation, belief, evaluation)
+    runs = contact_search._Runs(problem, observation, belief, evaluation, WALL_EFFECT)
     assert runs.start is not None and 2 <= runs.start.frame <= 6
     assert runs.chi_square(None) == pytest.approx(evaluation.chi_square)
     # A wall that nothing reaches changes nothing, but for shorter substeps.
@@ -185,7 +184,7 @@ def test_runs_from_shortly_before_the_misfit_are_those_from_the_start(rest: str)
 def test_runs_begin_at_rest_where_the_state_is_more_than_place_and_velocity() -> None:
     problem, observation, belief, evaluation = walled()
     relaxing = belief.with_effect("relaxation", {"ratio": 0.0, "tau": 0.1})
-    assert contact_search._Runs(problem, observation, relaxing, evaluation).start is None
+    assert contact_search._Runs(problem, observation, relaxing, evaluation, WALL_EFFECT).start is None
 
 
 def test_a_frame_that_shows_no_marker_is_no_misfit() -> None:
@@ -193,16 +192,16 @@ def test_a_frame_that_shows_no_marker_is_no_misfit() -> None:
     position = observation.position.copy()
     position[1] = np.nan
     blank = Observation(position, observation.noise, observation.weight)
-    begun = contact_search._Runs(problem, observation, belief, evaluation).start
-    assert contact_search._Runs(problem, blank, belief, evaluation).start.frame == begun.frame
-    assert search(problem, blank, belief, evaluation)
+    begun = contact_search._Runs(problem, observation, belief, evaluation, WALL_EFFECT).start
+    assert contact_search._Runs(problem, blank, belief, evaluation, WALL_EFFECT).start.frame == begun.frame
+    assert search(problem, blank, belief, evaluation, WALL_EFFECT)
 
 
 # ---- search -----------------------------------------------------------------------------------
 def test_the_wall_that_a_bar_swings_into_is_found() -> None:
     problem, observation, belief, evaluation = walled()
     said: list[str] = []
-    planes = search(problem, observation, belief, evaluation, report=said.append)
+    planes = search(problem, observation, belief, evaluation, WALL_EFFECT, report=said.append)
     assert 1 <= len(planes) <= contact_search.MOVED and len(said) == 1 + len(planes)
     best = planes[0]
     assert best.chi_square == min(p.chi_square for p in planes) < 0.01 * evaluation.chi_square
@@ -220,7 +219,7 @@ def test_the_search_is_the_same_with_two_workers(rest: str) -> None:
     for workers in (1, 2):
         # Neither finds the rest shape solved for already.
         problem.predictors["a"].transfer.forget()
-        planes = search(problem, observation, belief, evaluation, workers=workers)
+        planes = search(problem, observation, belief, evaluation, WALL_EFFECT, workers=workers)
         found.append([[*p.normal, p.offset, p.chi_square] for p in planes])
     assert found[0] and found[0] == found[1]
 
@@ -237,7 +236,7 @@ def test_walls_ask_for_no_other_rest_shape(monkeypatch: pytest.MonkeyPatch) -> N
         return newton(self, *arguments)
 
     monkeypatch.setattr(RestShape, "_newton", counted)
-    assert search(problem, observation, belief, evaluation, workers=2)
+    assert search(problem, observation, belief, evaluation, WALL_EFFECT, workers=2)
     assert solved == [threading.main_thread()]
 
 
@@ -247,13 +246,13 @@ def test_no_wall_for_a_prediction_that_passes_no_free_plane() -> None:
     between = 0.5 * (observation.position[:1] + observation.position)
     inside = replace(evaluation, positions={"a": between})
     assert np.sqrt(np.mean((between - observation.position) ** 2)) > 10.0 * SIGMA
-    assert search(problem, observation, belief, inside) == []
+    assert search(problem, observation, belief, inside, WALL_EFFECT) == []
 
 
 def test_a_model_with_a_wall_gets_no_other() -> None:
     problem, observation, belief, evaluation = walled()
-    assert search(problem, observation, with_wall(belief, WALL), evaluation) == []
-    assert search_softer(problem, observation, with_wall(belief, WALL), evaluation) == []
+    assert search(problem, observation, with_wall(belief, WALL), evaluation, WALL_EFFECT) == []
+    assert search_softer(problem, observation, with_wall(belief, WALL), evaluation, WALL_EFFECT) == []
 
 
 def test_walls_that_do_not_help_are_not_moved(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,7 +261,7 @@ def test_walls_that_do_not_help_are_not_moved(monkeypatch: pytest.MonkeyPatch) -
     stiff = belief.with_parameter("part0.youngs_modulus", value=2.1e4)
     problem, observation, belief, evaluation = case_of(seen(capture, stiff, SPACING), belief)
     monkeypatch.setattr(contact_search, "minimize", lambda *_a, **_k: pytest.fail("a plane was moved"))
-    planes = search(problem, observation, belief, evaluation)
+    planes = search(problem, observation, belief, evaluation, WALL_EFFECT)
     assert len(planes) == 1
     assert planes[0].chi_square > contact_search.HELPS * evaluation.chi_square
 
@@ -284,7 +283,7 @@ def test_a_softer_object_meets_the_wall_that_the_fitted_one_is_too_stiff_to_reac
     evaluation = softly.evaluate(belief, jacobian=False)
     assert evaluation.misfit > contact_search.OFF
     said: list[str] = []
-    found = search_softer(softly, observation, belief, evaluation, report=said.append)
+    found = search_softer(softly, observation, belief, evaluation, WALL_EFFECT, report=said.append)
     assert 1 <= len(found) <= contact_search.MOVED and len(said) == 1
     soft, plane = found[0]
     best = find_scale(softly, forget(belief))["part0.youngs_modulus"].value
@@ -294,7 +293,7 @@ def test_a_softer_object_meets_the_wall_that_the_fitted_one_is_too_stiff_to_reac
     walled = softly.evaluate(with_wall(soft, plane), jacobian=False)
     assert walled.chi_square == pytest.approx(plane.chi_square, rel=0.3)
     # The same whoever runs them.
-    again = search_softer(softly, observation, belief, evaluation, workers=2)
+    again = search_softer(softly, observation, belief, evaluation, WALL_EFFECT, workers=2)
     assert [(*p.normal, p.offset) for _, p in again] == [(*p.normal, p.offset) for _, p in found]
 
 
@@ -328,20 +327,20 @@ def test_softer_objects_are_asked_for_where_the_first_model_is_off_early_and_no_
         monkeypatch.setattr(contact_search, "search_softer", lambda *_a, f=found, **_k: f)
         usual = [] if left is None else [(belief, plane)]
         expected = found if asked and found else usual
-        assert walls(problem, observation, belief, evaluation, share=share) == expected
+        assert walls(problem, observation, belief, evaluation, WALL_EFFECT, share=share) == expected
 
 
 def test_softer_parts_are_no_wall_where_the_model_is_right(monkeypatch: pytest.MonkeyPatch) -> None:
     capture, belief = falling_bar()
     problem, observation, belief, evaluation = case_of(seen(capture, belief, SPACING), belief)
-    assert search_softer(problem, observation, belief, evaluation) == []
+    assert search_softer(problem, observation, belief, evaluation, WALL_EFFECT) == []
 
     # Nor where no softer object can be simulated.
     def fails(*_: object, **__: object) -> None:
         raise SimulationError("unstable")
 
     monkeypatch.setattr(contact_search, "find_scale", fails)
-    assert search_softer(problem, observation, belief, evaluation) == []
+    assert search_softer(problem, observation, belief, evaluation, WALL_EFFECT) == []
 
 
 def test_friction_is_held_until_the_wall_stands() -> None:
@@ -352,6 +351,7 @@ def test_friction_is_held_until_the_wall_stands() -> None:
     walled = walled.with_parameter("contact.mu", value=0.0)
     held = hold_friction(walled)
     assert [p.key for p in held.free] == ["contact.d", "contact.n_x", "contact.n_y", "contact.n_z"]
-    assert held["contact.mu"].value == USUAL_FRICTION
+    (usual,) = (p.scale for p in WALL_EFFECT.of_role("strength"))
+    assert held["contact.mu"].value == usual
     freed = release_friction(held)
-    assert "contact.mu" in [p.key for p in freed.free] and freed["contact.mu"].value == USUAL_FRICTION
+    assert "contact.mu" in [p.key for p in freed.free] and freed["contact.mu"].value == usual

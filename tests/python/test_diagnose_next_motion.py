@@ -10,9 +10,9 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.diagnose.candidates import smooth_ways
 from mphygs.diagnose.document import advice
 from mphygs.diagnose.next_motion import Proposed, candidate_motions, leading_frequency, propose
+from mphygs.diagnose.ways import smooth_ways
 from mphygs.fit.experiment import Experiment
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.diagnose.candidates import Way, mass_way, place_digits, smooth_ways
-from mphygs.diagnose.places import mass_between
+from mphygs.diagnose.ways import Way, place_digits, smooth_ways
 from mphygs.simulate.prediction import Predictor, Settings
+from ways_example import between, mass_way
 
 PLACES = np.array([[0.055, 0.004, 0.01], [0.055, 0.016, 0.01], [0.02, 0.01, 0.01]])
 
@@ -33,7 +33,7 @@ def found(residual_of: np.ndarray, *, absorb: bool = False) -> Way | None:
     tangents = tangents_of(predictor, belief, ways)
     own = predictor.predict(belief, keys=["part0.youngs_modulus"]).jacobian.reshape(len(tangents), -1)
     residual = tangents @ residual_of + (own[:, 0] if absorb else 0.0)
-    return mass_between(belief, predictor.body, ways, tangents, residual, own)
+    return between(belief, predictor.body, ways, tangents, residual, own)
 
 
 def test_two_corners_stand_for_what_hangs_between_them() -> None:
@@ -66,7 +66,7 @@ def test_a_mass_on_the_axis_is_found_though_all_places_are_corners() -> None:
     column = tangents_of(predictor, belief, [truth])[:, 0]
     tangents = tangents_of(predictor, belief, ways)
     own = predictor.predict(belief, keys=["part0.youngs_modulus"]).jacobian.reshape(len(tangents), -1)
-    way = mass_between(belief, predictor.body, ways, tangents, column, own)
+    way = between(belief, predictor.body, ways, tangents, column, own)
     place = np.array(way.settings["place"])
     assert np.all(np.abs(place[1:] - 0.01) < 0.002) and place[0] > 0.045
 
@@ -78,7 +78,7 @@ def test_a_centre_that_rounds_to_a_place_has_a_label_of_its_own() -> None:
     assert ways[1].label == "attached_mass at (0.050, 0.010, 0.010)"
     tangents = tangents_of(predictor, belief, ways)
     none = np.zeros((len(tangents), 0))
-    way = mass_between(belief, predictor.body, ways, tangents, tangents @ np.array([1.0, 0.0, 1.0]), none)
+    way = between(belief, predictor.body, ways, tangents, tangents @ np.array([1.0, 0.0, 1.0]), none)
     assert way.label == "attached_mass at (0.0504, 0.0104, 0.0104)"
 
 
@@ -88,7 +88,7 @@ def test_a_centre_at_a_place_that_was_tried_is_no_new_one() -> None:
     tangents = tangents_of(predictor, belief, ways)
     none = np.zeros((len(tangents), 0))
     sides = tangents @ np.array([1.0, 0.0, 1.0])
-    assert mass_between(belief, predictor.body, ways, tangents, sides, none) is None
+    assert between(belief, predictor.body, ways, tangents, sides, none) is None
 
 
 def test_places_in_small_objects_are_told_apart() -> None:
@@ -105,8 +105,8 @@ def test_without_places_there_is_nothing_between() -> None:
     predictor, belief = scene()
     one = [mass_way(belief, PLACES[0])]
     column = tangents_of(predictor, belief, one)
-    assert mass_between(belief, predictor.body, one, column, column[:, 0], np.zeros((len(column), 0))) is None
-    assert mass_between(belief, predictor.body, [], column[:, :0], column[:, 0], column[:, :0]) is None
+    assert between(belief, predictor.body, one, column, column[:, 0], np.zeros((len(column), 0))) is None
+    assert between(belief, predictor.body, [], column[:, :0], column[:, 0], column[:, :0]) is None
 
 
 def test_a_label_says_where() -> None:

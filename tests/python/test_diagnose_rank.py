@@ -14,13 +14,13 @@ from extend_example import SPACING, entry_of, recorded
 from mphygs.capture.holds import Load
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import rank as ranking
-from mphygs.diagnose import tried
-from mphygs.diagnose.candidates import SINCE_THE_START
+from mphygs.diagnose import trials_of, tried
 from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.document import ranking_document
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.diagnose.shaking import shaking_ways
+from mphygs.diagnose.ways import SINCE_THE_START
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
@@ -141,16 +141,18 @@ def test_what_is_tried_is_read_off_the_sequence_that_is_off_most(monkeypatch: py
         seen["walls"] = next(iter(problem.ranges)), observation
         return []
 
-    def yields(predictor: Predictor, *_: object) -> list:
+    def yields(_spec: object, _capture: object, predictor: Predictor, *_: object) -> list:
         seen["yields"] = predictor.recording.name
         return []
 
     monkeypatch.setattr(tried, "walls", found)
-    monkeypatch.setattr(tried, "plasticity_trials", yields)
+    monkeypatch.setattr(tried, "trials_of", yields)
     monkeypatch.setattr(
         ranking,
         "shaking_ways",
-        lambda of, residual, *more: seen.update(swings=residual) or shaking_ways(of, residual, *more),
+        lambda of, transfer, residual, *more, **given: (
+            seen.update(swings=residual) or shaking_ways(of, transfer, residual, *more, **given)
+        ),
     )
     ranked("contact", "plasticity", "base_motion")
     assert seen["walls"] == ("b", experiment.observations["b"]) and seen["yields"] == "b"
@@ -214,8 +216,8 @@ def test_numbers_are_told_by_the_names_of_the_model() -> None:
 
 
 def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("walls", "plasticity_trials", "hung_trials"):
-        monkeypatch.setattr(tried, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
+    for module, name in ((tried, "walls"), (trials_of, "threshold_trials"), (trials_of, "hung_trials")):
+        monkeypatch.setattr(module, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
     assert [entry.effect for entry in ranked("viscosity").entries] == ["viscosity"]
 
 

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from mphygs.diagnose.candidates import starting_effect
 from mphygs.diagnose.shaking import PULSE_WIDTHS, pulse_ways, rises, shaking_ways
+from mphygs.diagnose.starts import start_of
 from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
+from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 
 FPS = 60.0
+SHAKE = effect("base_motion")
 
 
 def belief() -> Belief:
@@ -44,7 +47,7 @@ def test_frames_that_saw_nothing_do_not_matter() -> None:
 
 
 def test_pulses_of_several_widths_begin_shortly_before_they_are_seen() -> None:
-    ways = pulse_ways(belief(), [0.5, 0.02], 0.25)
+    ways = pulse_ways(belief(), SHAKE, [0.5, 0.02], 0.25)
     assert len(ways) == 2 * len(PULSE_WIDTHS) and len({way.label for way in ways}) == len(ways)
     for way, share in zip(ways, PULSE_WIDTHS, strict=False):
         extended, _ = way.columns[0]
@@ -54,12 +57,12 @@ def test_pulses_of_several_widths_begin_shortly_before_they_are_seen() -> None:
         assert extended["base_motion.pulse"].value == 1.0 and not extended["base_motion.pulse"].free
         assert [p.key for _, p in way.columns] == [f"base_motion.a_{axis}" for axis in "xyz"]
     assert all(way.values["phase"] <= 0.0 for way in ways)  # none before the recording begins
-    assert len(pulse_ways(belief(), [0.01, 0.02], 1.0)) < 2 * len(PULSE_WIDTHS)  # two with it are one
+    assert len(pulse_ways(belief(), SHAKE, [0.01, 0.02], 1.0)) < 2 * len(PULSE_WIDTHS)  # two with it are one
 
 
 def test_a_pulse_is_refitted_from_its_own_time_and_width() -> None:
-    (way, *_) = pulse_ways(belief(), [0.5], 0.25)
-    start = starting_effect(way, np.array([1.0, -2.0, 300.0]), belief())
+    (way, *_) = pulse_ways(belief(), SHAKE, [0.5], 0.25)
+    start = start_of(way, np.array([1.0, -2.0, 300.0]), belief())
     told = {p.key.removeprefix("base_motion."): p for p in start.parameters}
     assert [told[f"a_{axis}"].value for axis in "xyz"] == [1.0, -2.0, 100.0]  # its bound
     assert told["f"].value == way.values["f"] and told["phase"].value == way.values["phase"]
@@ -68,10 +71,11 @@ def test_a_pulse_is_refitted_from_its_own_time_and_width() -> None:
 
 
 def test_a_misfit_that_begins_suggests_pulses_there_and_one_that_does_not_none() -> None:
-    sudden = shaking_ways(belief(), misfit(40), FPS, 1.0)
+    sudden = shaking_ways(belief(), TOTAL_LAGRANGIAN, misfit(40), FPS, 1.0)
     pulses = [way for way in sudden if way.values.get("pulse")]
     assert pulses and len(sudden) > len(pulses)
     begin = -pulses[0].values["phase"] / (2 * np.pi * pulses[0].values["f"])
     assert begin == pytest.approx(1.0 + 40 / FPS, abs=0.05)
-    assert not any(way.values.get("pulse") for way in shaking_ways(belief(), misfit(-30), FPS, 1.0))
-    assert shaking_ways(belief().with_effect("base_motion"), misfit(40), FPS, 0.0) == []
+    quiet = shaking_ways(belief(), TOTAL_LAGRANGIAN, misfit(-30), FPS, 1.0)
+    assert not any(way.values.get("pulse") for way in quiet)
+    assert shaking_ways(belief().with_effect("base_motion"), TOTAL_LAGRANGIAN, misfit(40), FPS, 0.0) == []

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mphygs.diagnose.candidates import Way, late_ways, other_starts, smooth_ways, starting_effect
+from mphygs.diagnose.starts import other_starts, start_of
+from mphygs.diagnose.ways import Way, late_ways, smooth_ways
 from mphygs.model.belief import Belief
 from test_diagnose_late import resting
 
@@ -39,9 +40,9 @@ def score_of(estimate: list[float], std: float) -> SimpleNamespace:
 )
 def test_a_tether_pulls_as_its_springs_do(estimate: list[float], stiffness: float) -> None:
     way, belief = tether()
-    start = starting_effect(way, np.array(estimate), belief)
+    start = start_of(way, np.array(estimate), belief)
     assert start["tether.k"].value == pytest.approx(stiffness)
-    np.testing.assert_allclose(pull(start), way.settings["size"] * np.array(estimate[1:]), atol=1e-12)
+    np.testing.assert_allclose(pull(start), way.scale * np.array(estimate[1:]), atol=1e-12)
     assert {p.key for p in start.free if p.key.startswith("tether.")} == {
         "tether.k", "tether.anchor_x", "tether.anchor_y", "tether.anchor_z",
     }  # fmt: skip
@@ -66,7 +67,7 @@ def test_a_stiffness_that_the_estimate_does_not_tell_is_tried_from_nearer_by(
     starts = other_starts(way, score_of(estimate, std), belief)
     assert [start["tether.k"].value for start in starts] == pytest.approx(stiffnesses)
     for start in starts:
-        np.testing.assert_allclose(pull(start), way.settings["size"] * np.array(estimate[1:]), atol=1e-12)
+        np.testing.assert_allclose(pull(start), way.scale * np.array(estimate[1:]), atol=1e-12)
 
 
 def test_a_tether_that_came_late_starts_late() -> None:

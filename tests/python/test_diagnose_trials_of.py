@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.diagnose.trials_of import YIELD_SHARES, YIELDING, compliance_trials, plasticity_trials
+from mphygs.diagnose.trials_of import YIELD_SHARES, YIELDING, hold_trials, threshold_trials
+from mphygs.model.registry import effect
+
+HOLD, YIELD = effect("hold_compliance"), effect("plasticity")
 
 
 def test_holds_give_way_by_shares_of_the_object_under_its_weight() -> None:
@@ -18,13 +21,12 @@ def test_holds_give_way_by_shares_of_the_object_under_its_weight() -> None:
     part = capture.parts[0]
     weight = part.volume * belief[f"{part.name}.density"].value * 9.81
     belief = replace(belief, gravity=belief.gravity * 0.0)
-    trials = compliance_trials(capture, belief)
+    trials = hold_trials(HOLD, capture, belief)
     given = [trial.belief["hold_compliance.compliance"].value * weight for trial in trials]
     assert given == pytest.approx([share * capture.diagonal for share in YIELDING])
     assert {trial.effect for trial in trials} == {"hold_compliance"}
-    assert compliance_trials(capture, trials[0].belief) == []
     free = replace(capture, sequences=tuple(replace(s, held=()) for s in capture.sequences))
-    assert compliance_trials(free, belief) == []
+    assert hold_trials(HOLD, free, belief) == []
 
 
 def test_yields_are_tried_above_what_the_object_bears_at_the_start() -> None:
@@ -33,8 +35,7 @@ def test_yields_are_tried_above_what_the_object_bears_at_the_start() -> None:
         stress = np.full((4, 2, 8), borne)
         stress[1:] = 1e4
         asked = SimpleNamespace(von_mises=lambda _belief, last, stress=stress: stress[:last])
-        trials = plasticity_trials(asked, belief, 4)
+        trials = threshold_trials(YIELD, asked, belief, 4)
         tried = [trial.belief["plasticity.yield_stress"].value for trial in trials]
         assert tried == pytest.approx([1e4 * share for share in YIELD_SHARES][:count])
         assert all(value > borne for value in tried)
-    assert plasticity_trials(asked, belief.with_effect("plasticity", {}), 4) == []

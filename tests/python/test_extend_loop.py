@@ -11,7 +11,7 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, SPACING, recorded
 from mphygs.capture.holds import Load
-from mphygs.diagnose.contact_search import Plane, with_wall
+from mphygs.diagnose.contact_search import Plane
 from mphygs.extend import discover as discover_module
 from mphygs.extend.discover import discover, first_fit
 from mphygs.extend.window import tractable_window
@@ -22,6 +22,7 @@ from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.schedule import TRACTABLE, Stage
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
+from ways_example import with_wall
 
 FREE = ("part0.youngs_modulus",)
 YOUNG = 4e4

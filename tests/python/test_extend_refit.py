@@ -15,7 +15,7 @@ from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.autoregression import Autoregression
 from mphygs.diagnose import grid_error
-from mphygs.diagnose.contact_search import Plane, with_wall
+from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Entry
@@ -29,6 +29,7 @@ from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
+from ways_example import with_wall
 
 FREE = ("part0.youngs_modulus",)
 ETA = 40.0

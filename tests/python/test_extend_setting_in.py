@@ -9,13 +9,14 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, recorded
-from mphygs.diagnose.contact_search import Plane, hold_friction, with_wall
+from mphygs.diagnose.contact_search import Plane, hold_friction
 from mphygs.extend import setting_in
 from mphygs.extend.setting_in import alone, fit_what_sets_in, placed
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
+from ways_example import with_wall
 
 SPACING = 0.01
 FREE = ("part0.youngs_modulus",)

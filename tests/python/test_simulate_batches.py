@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.diagnose.candidates import base_motion_ways, smooth_ways
+from mphygs.diagnose.shaking import swing_ways
+from mphygs.diagnose.ways import smooth_ways
 from mphygs.model.registry import effect
 from mphygs.simulate import prediction
 from mphygs.simulate.batches import APART, DEAR, PAIR, Batch, batches_of
@@ -23,7 +24,7 @@ def test_unlike_constants_of_one_effect_do_not_mix(workers: int) -> None:
     belief = bar_belief(capture, youngs_modulus=6e4, free=())
     predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=workers, dtype="float64"))
     ways = smooth_ways(belief, predictor.body, names=["relaxation", "wind", "tether", "gravity"])
-    ways += base_motion_ways(belief, [3.0, 9.0])
+    ways += swing_ways(belief, effect("base_motion"), [3.0, 9.0])
     columns = [pair for way in ways for pair in way.columns]
     together = predictor.predict(belief, candidates=columns).jacobian
     assert len(columns) > 25
@@ -46,7 +47,7 @@ def shared_out(
     belief = bar_belief(capture, youngs_modulus=6e4, free=())
     settings = Settings(0.01, workers=1, dtype="float32", transfer=transfer)
     predictor = Predictor(capture, capture.sequences[0], settings)
-    ways = smooth_ways(belief, predictor.body) + base_motion_ways(belief, [3.0, 9.0])
+    ways = smooth_ways(belief, predictor.body) + swing_ways(belief, effect("base_motion"), [3.0, 9.0])
     columns = [pair for way in ways for pair in way.columns]
     found: list[Batch] = []
 

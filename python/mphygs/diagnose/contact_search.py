@@ -17,6 +17,8 @@ from mphygs.compare.noise import Observation
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.schedule import find_scale, forget, stiffened
 from mphygs.model.belief import Belief
+from mphygs.model.descriptor import EffectSpec, ParameterSpec
+from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import MLS
 from mphygs.simulate.transfer import Start
@@ -25,7 +27,8 @@ DIRECTIONS, APART = 400, 0.95
 # Planes that are tried where the markers' own limits put them; of these so many are moved, in so many runs
 # each, where the best of them leaves no more than this share of the misfit.
 TRIED, MOVED, RUNS, HELPS = 20, 2, 40, 0.8
-FRICTION, USUAL_FRICTION = 0.2, 0.3
+# Of a direction's components, and of a strength in its usual size, the standard deviations of their priors.
+DIRECTION_PRIOR, STRENGTH_PRIOR = 0.5, 2.0
 # Tilt [rad] and depth (of the deepest passing) that a search begins with.
 TILT, DEPTH = 0.2, 0.3
 # The misfit begins where a frame is this many sigma off; runs begin so many frames before.
@@ -33,8 +36,6 @@ BEGINS, BEFORE = 2.0, 3
 # A model off by so many sigma within so much of the frames may be too stiff to reach a wall; shares of its
 # stiffness with which it would.
 OFF, EARLY, SOFTER = 1.25, 0.25, (0.6, 0.4, 0.25)
-# Effects whose state is more than place and velocity.
-WITH_MEMORY = ("relaxation", "plasticity")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,33 +72,50 @@ def sphere(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
 
 
-def with_wall(belief: Belief, plane: Plane) -> Belief:
-    """A belief with a wall, its place, direction and friction free."""
-    n = plane.normal
-    values = dict(zip(("n_x", "n_y", "n_z"), map(float, n), strict=True))
-    extended = belief.with_effect("contact", {"d": plane.offset, "mu": FRICTION} | values)
-    for key, value in values.items():
-        # Only the direction of n counts; the prior keeps its length.
+def with_wall(belief: Belief, spec: EffectSpec, plane: Plane) -> Belief:
+    """A belief with an effect that a plane brings, its place, direction and strengths free."""
+    (offset,), strengths = spec.of_role("offset"), _strengths(spec)
+    normal = {p.name: float(x) for p, x in zip(spec.of_role("direction"), plane.normal, strict=True)}
+    slight = {p.name: p.range[0] for p in strengths}
+    extended = belief.with_effect(spec.name, {offset.name: plane.offset} | slight | normal)
+    for name, value in normal.items():
+        # Only the direction counts; the prior keeps its length.
         extended = extended.with_parameter(
-            f"contact.{key}", free=True, scale=0.1, prior_mean=value, prior_std=0.5
+            f"{spec.name}.{name}", free=True, scale=0.1, prior_mean=value, prior_std=DIRECTION_PRIOR
         )
-    return extended.with_parameter("contact.mu", prior_mean=0.3, prior_std=0.5)
+    for p in strengths:
+        key = f"{spec.name}.{p.name}"
+        extended = extended.with_parameter(key, prior_mean=p.scale, prior_std=STRENGTH_PRIOR * p.scale)
+    return extended
+
+
+def _strengths(spec: EffectSpec) -> list[ParameterSpec]:
+    return [p for p in spec.of_role("strength") if p.fitted]
+
+
+def _met(belief: Belief) -> list[EffectSpec]:
+    """The effects of a belief that planes bring."""
+    return [spec for name in belief.effects if (spec := effect(name)).of_role("offset")]
 
 
 def hold_friction(belief: Belief) -> Belief:
-    """The belief with its wall's friction held at a usual value, where it has a wall.
+    """The belief with the friction of its walls held at a usual value, where it has any.
 
     Far from the data the first linear step puts the friction to zero, where it stays, and the normal leans
     to make up for it: the wall's place and direction are found first.
     """
-    if "contact" not in belief.effects:
-        return belief
-    return belief.with_parameter("contact.mu", value=USUAL_FRICTION, free=False)
+    for spec in _met(belief):
+        for p in _strengths(spec):
+            belief = belief.with_parameter(f"{spec.name}.{p.name}", value=p.scale, free=False)
+    return belief
 
 
 def release_friction(belief: Belief) -> Belief:
-    """The belief with its wall's friction free, where it has a wall."""
-    return belief.with_parameter("contact.mu", free=True) if "contact" in belief.effects else belief
+    """The belief with the friction of its walls free, where it has any."""
+    for spec in _met(belief):
+        for p in _strengths(spec):
+            belief = belief.with_parameter(f"{spec.name}.{p.name}", free=True)
+    return belief
 
 
 def proposals(
@@ -136,8 +154,15 @@ def proposals(
 class _Runs:
     """chi^2 of a problem's first sequence with a wall, by runs that begin shortly before it is felt."""
 
-    def __init__(self, problem: Problem, observation: Observation, belief: Belief, evaluation: Evaluation):
-        self.belief = belief
+    def __init__(
+        self,
+        problem: Problem,
+        observation: Observation,
+        belief: Belief,
+        evaluation: Evaluation,
+        spec: EffectSpec,
+    ) -> None:
+        self.belief, self.spec = belief, spec
         self.name, (self.first, self.last) = next(iter(problem.ranges.items()))
         self.predictor, self.observation = problem.predictors[self.name], observation
         self.whitener = observation.whitener(self.first, self.last)
@@ -160,7 +185,8 @@ class _Runs:
 
     def _start(self, frame: int) -> Start | None:
         """The state of the model without a wall at a frame; None where runs begin at rest."""
-        memory = any(name in self.belief.effects for name in WITH_MEMORY)
+        # Where effects have a history the state is more than place and velocity.
+        memory = any(effect(name).history for name in self.belief.effects)
         if frame < 2 or memory or self.predictor.settings.transfer == MLS:
             return None
         timeline = self.predictor.timeline(
@@ -175,7 +201,7 @@ class _Runs:
         """With a wall, or without; infinite where the run is unstable."""
         position = self.before.copy()
         if plane is not None:
-            walled = with_wall(self.belief, plane)
+            walled = with_wall(self.belief, self.spec, plane)
             try:
                 found = self.predictor.predict(walled, last=self.last, start=self.start)
             except SimulationError:
@@ -215,18 +241,20 @@ def search(
     observation: Observation,
     belief: Belief,
     evaluation: Evaluation,
+    spec: EffectSpec,
     *,
     workers: int = 1,
     report: Callable[[str], None] | None = None,
 ) -> list[Plane]:
     """Planes that explain the misfit best, the best first; none where the prediction passes no free plane.
 
-    problem: its first sequence is looked at; observation: of that; evaluation: of the belief, without wall.
+    problem: its first sequence is looked at; observation: of that; evaluation: of the belief, without wall;
+    spec: the effect that a plane brings.
     """
-    if "contact" in belief.effects:
+    if spec.name in belief.effects:
         return []
     # Planes are tried side by side, on a core each.
-    runs = _Runs(problem.twin(1), observation, belief, evaluation)
+    runs = _Runs(problem.twin(1), observation, belief, evaluation, spec)
     found = runs.proposals()
     if not found:
         return []
@@ -266,6 +294,7 @@ def search_softer(
     observation: Observation,
     belief: Belief,
     evaluation: Evaluation,
+    spec: EffectSpec,
     *,
     workers: int = 1,
     report: Callable[[str], None] | None = None,
@@ -276,14 +305,14 @@ def search_softer(
     What a wall stops from the beginning is fitted as too stiff to reach it, and passes no plane. Arguments as
     those of `search`; none where a wall explains too little beyond the belief as it was fitted.
     """
-    if "contact" in belief.effects:
+    if spec.name in belief.effects:
         return []
     try:
         models = softer(problem, belief)
     except SimulationError:
         return []
     # A rest shape belongs to one belief: each has simulators of its own.
-    ways = [_Runs(problem.twin(1), observation, *model) for model in models]
+    ways = [_Runs(problem.twin(1), observation, *model, spec) for model in models]
     tried = [(runs, proposal) for runs in ways for proposal in runs.proposals()]
     if not tried:
         return []
@@ -311,6 +340,7 @@ def walls(
     observation: Observation,
     belief: Belief,
     evaluation: Evaluation,
+    spec: EffectSpec,
     *,
     share: float = 1.0,
     workers: int = 1,
@@ -322,8 +352,8 @@ def walls(
     share: of the fitted frames that the problem is of; other arguments as those of `search`.
     """
     given = {"workers": workers, "report": report}
-    found = [(belief, plane) for plane in search(problem, observation, belief, evaluation, **given)]
+    found = [(belief, plane) for plane in search(problem, observation, belief, evaluation, spec, **given)]
     helped = any(plane.chi_square < HELPS * _left(problem, evaluation) for _, plane in found)
     if not helped and not belief.effects and share <= EARLY and evaluation.misfit > OFF:
-        found = search_softer(problem, observation, belief, evaluation, **given) or found
+        found = search_softer(problem, observation, belief, evaluation, spec, **given) or found
     return found

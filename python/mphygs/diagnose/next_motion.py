@@ -16,10 +16,10 @@ from mphygs.capture.record import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.compare.noise import Observation
 from mphygs.compare.seen import mean_seen
-from mphygs.diagnose.candidates import Way
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, ScoreTable
 from mphygs.diagnose.ties import separating_motions
+from mphygs.diagnose.ways import Way
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor

@@ -1,4 +1,4 @@
-"""Where a point mass sits, between the places that were tried; where a wind blows, between the axes."""
+"""Where an effect acts, between the places that were tried; where a flow goes, between the axes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
-from mphygs.diagnose.candidates import LATE, Way, mass_way, place_digits, wind_way
+from mphygs.diagnose.ways import Way, flow_way, place_digits, placed_way
 from mphygs.model.belief import Belief
+from mphygs.model.descriptor import EffectSpec
+from mphygs.model.registry import effect
 from mphygs.simulate.body import Body
 
 # Of the largest mass: what is less is no second place.
@@ -33,65 +35,39 @@ def _together(columns: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -
     return amounts if np.count_nonzero(amounts > NEGLIGIBLE * amounts.max(initial=0.0)) > 1 else None
 
 
-def wind_between(
+def _along(ways: Sequence[Way], wanted: Sequence[Way]) -> list[int]:
+    """First column of each of some ways, among the columns of all."""
+    first = dict(zip((id(w) for w in ways), np.cumsum([0, *(len(w.columns) for w in ways)]), strict=False))
+    return [int(first[id(w)]) for w in wanted]
+
+
+def flow_between(
     belief: Belief,
-    ways: Sequence[Way],
-    tangents: np.ndarray,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    *,
-    late: bool = False,
+    spec: EffectSpec,
+    own: Sequence[Way],
+    amounts: np.ndarray,
 ) -> Way | None:
-    """One more way of `wind`: in the direction of the steady drag that flows along the axes explain together
-    (see `mass_between`). Light drags in several flows move a body that is slow beside them as their sum does.
+    """One more way of what acts in a flow: in the direction of the steady drag that flows along the axes
+    explain together. Light drags in several flows move a body that is slow beside them as their sum does.
     None where one axis does as well."""
-    chosen, at = [], 0
-    for way in ways:
-        if way.effect == "wind" and way.settings == (LATE if late else {}):
-            chosen.append((at, np.array([way.values[f"w_{a}"] for a in "xyz"])))
-        at += len(way.columns)
-    if len(chosen) < 2:
-        return None
-    drags = _together(tangents[:, [k for k, _ in chosen]], residual, jacobian)
-    if drags is None:
-        return None
-    flows = np.array([flow for _, flow in chosen])
-    flow = drags @ flows
+    flows = np.array([[way.values[p.name] for p in spec.of_role("flow")] for way in own])
+    flow = amounts @ flows
     length = float(np.linalg.norm(flow))
     if length == 0.0 or (flows @ flow / length / np.linalg.norm(flows, axis=1)).max() > SAME_DIRECTION:
         return None  # opposite ones may leave a flow along an axis, which was tried
-    return wind_way(belief, flow / length, late=late)
+    return flow_way(belief, spec, flow / length, own[0].settings)
 
 
-def mass_between(
-    belief: Belief,
-    body: Body,
-    ways: Sequence[Way],
-    tangents: np.ndarray,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    *,
-    late: bool = False,
+def placed_between(
+    belief: Belief, body: Body, spec: EffectSpec, own: Sequence[Way], amounts: np.ndarray
 ) -> Way | None:
-    """One more way of `attached_mass`: at the centre of the masses that explain most together, of those that
-    came after the published shape was taken (late) or of the others.
+    """One more way of what acts at a place: at the centre of those that explain most together.
 
     Small masses at several places move a body, to first order in them and but for their spin, as their sum at
-    their centre does. tangents: (N, Q) by all columns of the ways in order; residual: (N,); jacobian:
-    (N, P). None where a single place does as well.
+    their centre does. None where a single place does as well.
     """
-    chosen, at = [], 0
-    for way in ways:
-        if way.effect == "attached_mass" and set(way.settings) == ({"place", *LATE} if late else {"place"}):
-            chosen.append((at, np.asarray(way.settings["place"], float)))
-        at += len(way.columns)
-    if len(chosen) < 2:
-        return None
-    masses = _together(tangents[:, [k for k, _ in chosen]], residual, jacobian)
-    if masses is None:
-        return None
-    places = np.array([place for _, place in chosen])
-    centre = masses @ places / masses.sum()
+    places = np.array([way.settings["place"] for way in own], float)
+    centre = amounts @ places / amounts.sum()
     points = body.quadrature.points[: body.free_block_count].reshape(-1, 3)
     away = np.linalg.norm(points - centre, axis=1)
     # Two leaves have their centre in the air: then the material nearest to it.
@@ -99,8 +75,9 @@ def mass_between(
     place = centre if away.min() < 0.5 * cell else points[away.argmin()]
     if np.linalg.norm(places - place, axis=1).min() < SAME_PLACE * cell:
         return None
+    rest = {k: v for k, v in own[0].settings.items() if k != "place"}
     # One digit more than the labels of the places tried: it may round to one of them.
-    return mass_way(belief, place, place_digits(body) + 1, late=late)
+    return placed_way(belief, spec, place, place_digits(body) + 1, rest)
 
 
 def ways_between(
@@ -111,11 +88,28 @@ def ways_between(
     residual: np.ndarray,
     jacobian: np.ndarray,
 ) -> list[Way]:
-    """Further ways between those that were tried (see `mass_between`, `wind_between`), of loads that the
-    published shape bears and of those that came after it."""
-    explained = tangents, residual, jacobian
+    """Further ways between those that were tried (see `placed_between`, `flow_between`), of loads that the
+    published shape bears and of those that came after it.
+
+    tangents: (N, Q) by all columns of the ways in order; residual: (N,); jacobian: (N, P).
+    """
+    alike: dict[tuple, list[Way]] = {}
+    for way in ways:
+        spec = effect(way.effect)
+        tried = way.values if spec.of_role("flow") else {"place": 0} if "place" in way.settings else {}
+        one = len(way.columns) == 1 and tried and "sequences" not in way.settings
+        if one:
+            alike.setdefault((way.effect, way.settings.get("at_rest", True)), []).append(way)
     found: list[Way | None] = []
-    for late in (False, True):
-        found.append(mass_between(belief, body, ways, *explained, late=late))
-        found.append(wind_between(belief, ways, *explained, late=late))
+    for (name, _late), own in alike.items():
+        if len(own) < 2:
+            continue
+        amounts = _together(tangents[:, _along(ways, own)], residual, jacobian)
+        if amounts is None:
+            continue
+        spec = effect(name)
+        if spec.of_role("flow"):
+            found.append(flow_between(belief, spec, own, amounts))
+        else:
+            found.append(placed_between(belief, body, spec, own, amounts))
     return [way for way in found if way is not None]

@@ -8,25 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
-from mphygs.diagnose.candidates import (
-    LATE,
-    Way,
-    late_ways,
-    other_starts,
-    smooth_ways,
-    starting_effect,
-)
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.places import ways_between
 from mphygs.diagnose.power import detectable_strength
-from mphygs.diagnose.ranking import LEVEL, Entry, Ranking
+from mphygs.diagnose.ranking import LEVEL, Entry, Ranking, lost
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
 from mphygs.diagnose.shaking import shaking_ways
 from mphygs.diagnose.spots import Spots
+from mphygs.diagnose.starts import other_starts, start_of
 from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.tried import tried_effects
+from mphygs.diagnose.ways import LATE, Way, late_ways, smooth_ways
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
@@ -79,23 +73,25 @@ def _simulable(
     problem: Problem,
     belief: Belief,
     ways: Sequence[Way],
+    misfit: float,
     report: Callable[[str], None] | None,
-) -> list[Way]:
-    """The ways of those effects that can be simulated beside the model at their null. Raises SimulationError
-    where there is none."""
-    lost: dict[str, SimulationError] = {}
+) -> tuple[list[Way], list[Entry]]:
+    """The ways of those effects that can be simulated beside the model at their null, and the others, each
+    with the reason. misfit: of the model [sigma]. Raises SimulationError where there is none."""
+    failed: dict[str, SimulationError] = {}
     for name in dict.fromkeys(way.effect for way in ways):
         own = [way for way in ways if way.effect == name]
         try:
             _stack(experiment, problem, belief, own, None, np.random.default_rng(0))
         except SimulationError as error:
-            lost[name] = error
+            failed[name] = error
             if report:
                 report(f"{name} is left out, for it cannot be simulated: {error}")
-    left = [way for way in ways if way.effect not in lost]
-    if not left and lost:
-        raise next(iter(lost.values()))
-    return left
+    left = [way for way in ways if way.effect not in failed]
+    if not left and failed:
+        raise next(iter(failed.values()))
+    struck = [lost(name, name, str(error), belief, misfit) for name, error in failed.items()]
+    return left, struck
 
 
 def _off_at_the_start(experiment: Experiment, problem: Problem, evaluation: Evaluation) -> bool:
@@ -140,22 +136,19 @@ def rank(
     body = next(iter(problem.predictors.values())).body
     hung = masses_of_loads(experiment.capture, list(problem.ranges))
     ways = smooth_ways(belief, body, names=names, hung=hung)
-    if names is None or "base_motion" in names:
-        misfits = {
-            n: experiment.observations[n].position[a:b] - evaluation.positions[n][a:b]
-            for n, (a, b) in problem.ranges.items()
-        }
-        worst = evaluation.worst
-        fps = experiment.capture.sequence(worst).fps
-        ways += shaking_ways(belief, misfits[worst], fps, problem.ranges[worst][0] / fps)
+    worst = evaluation.worst
+    first, last = problem.ranges[worst]
+    misfit = experiment.observations[worst].position[first:last] - evaluation.positions[worst][first:last]
+    fps = experiment.capture.sequence(worst).fps
+    ways += shaking_ways(belief, body.transfer, misfit, fps, first / fps, names=names)
     if _off_at_the_start(experiment, problem, evaluation):
         ways += late_ways(belief, body, names=names)
     # Decoys draw numbers of their own: the rest is the same with and without them.
-    draw = generator.spawn(1)[0]
+    draw, struck = generator.spawn(1)[0], []
     try:
         tangents, fakes = _stack(experiment, problem, belief, ways, report, draw)
     except SimulationError:
-        ways = _simulable(experiment, problem, belief, ways, report)
+        ways, struck = _simulable(experiment, problem, belief, ways, evaluation.misfit, report)
         tangents, fakes = _stack(experiment, problem, belief, ways, report, draw)
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
     between = ways_between(belief, body, ways, tangents, full_residual, full_jacobian)
@@ -189,10 +182,10 @@ def rank(
         if old is None or worth > (old[1].drop - 2 * old[1].parameter_count if old[1].testable else -np.inf):
             best[way.effect] = (way, score)
     names_of = {way.label: way.effect for way in ways}
-    entries = []
+    entries = struck
     for name, (way, score) in best.items():
         entry = _entry(name, way, score, table, family, names_of, belief, rows)
-        if name == "attached_mass" and LATE.items() <= way.settings.items():
+        if "place" in way.settings and not way.form and LATE.items() <= way.settings.items():
             entry = replace(entry, others=_elsewhere(way, score, ways, table, belief))
         if score.testable:
             parameters = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
@@ -220,7 +213,7 @@ def _elsewhere(
         if way is not best and way.effect == best.effect and way.settings.keys() == best.settings.keys()
     ]
     near = sorted((item for item in rest if item[0] > NEARLY_AS_MUCH * score.drop), key=lambda item: -item[0])
-    return tuple(starting_effect(way, other.estimate, belief) for _, way, other in near[:ELSEWHERE])
+    return tuple(start_of(way, other.estimate, belief) for _, way, other in near[:ELSEWHERE])
 
 
 def _with_trials(entries: Sequence[Entry], trials: Sequence[Entry]) -> list[Entry]:
@@ -267,11 +260,9 @@ def _entry(
     belief: Belief,
     rows: int,
 ) -> Entry:
-    null = (
-        np.array([p.value for _, p in way.columns])
-        if name in ("compressibility",)
-        else np.zeros(len(way.columns))
-    )
+    # What takes the place of something else is estimated from there.
+    replaces = effect(name).replaces
+    null = np.array([p.value if replaces else 0.0 for _, p in way.columns])
     public = labels = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
     if len(set(labels)) < len(labels):
         labels = [f"{label}_{k}" for k, label in enumerate(labels)]
@@ -300,22 +291,22 @@ def _entry(
         float(np.sqrt(max(score.expected_chi_square, 0.0) / rows)),
         dict(zip(labels, map(float, estimate), strict=True)),
         dict(zip(labels, map(float, score.std), strict=True)),
-        starting_effect(way, estimate, belief),
+        start_of(way, estimate, belief),
         tuple(sorted(tied)),
-        detectable=_detectable(name, public, score, len(table.scores)),
+        detectable=_detectable(way, public, score, len(table.scores)),
         others=other_starts(way, score, belief),
     )
 
 
-def _detectable(effect_name: str, parameters: Sequence[str], score: Score, family: int) -> dict[str, float]:
+def _detectable(way: Way, parameters: Sequence[str], score: Score, family: int) -> dict[str, float]:
     """Smallest size of each parameter that would have been found among so many candidates, where any would.
 
-    Of one that has several columns (a sine and a cosine, axes of a slope) in whichever of them it is; of a
-    tether the stiffness, its other columns are pulls.
+    Of one that has several columns (a sine and a cosine, axes of a slope) in whichever of them it is; of what
+    is tied to an anchor the stiffness, its other columns are pulls.
     """
     strengths: dict[str, float] = {}
     sizes = detectable_strength(score, level=LEVEL, family=family)
     for parameter, size in zip(parameters, sizes, strict=True):
-        if effect_name != "tether" or parameter not in strengths:
+        if way.form != "anchor" or parameter not in strengths:
             strengths[parameter] = max(float(size), strengths.get(parameter, 0.0))
     return {parameter: size for parameter, size in strengths.items() if np.isfinite(size)}

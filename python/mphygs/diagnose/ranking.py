@@ -9,6 +9,7 @@ from mphygs.diagnose.decoys import DecoyCheck
 from mphygs.diagnose.score_table import ScoreTable
 from mphygs.diagnose.spots import Spot
 from mphygs.model.belief import Belief
+from mphygs.model.registry import effect
 
 # Of tests, all candidates of a diagnosis together.
 LEVEL = 0.01
@@ -54,3 +55,8 @@ class Ranking:
     decoys: DecoyCheck | None = None
     decoy_statistic: float = 0.0
     drift: tuple[Spot, ...] = ()
+
+
+def lost(name: str, label: str, why: str, belief: Belief, misfit: float) -> Entry:
+    """An effect that cannot be simulated beside a model, with the reason. misfit: of that model [sigma]."""
+    return Entry(name, label, effect(name).kind, 0.0, 1.0, misfit, {}, {}, belief, reason=why)

@@ -1,4 +1,4 @@
-"""How the frame may have moved: the swings and the sudden beginnings that a misfit shows."""
+"""What swings or acts in pulses: the swings and the sudden beginnings that a misfit shows."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from mphygs.compare.seen import mean_seen
-from mphygs.diagnose.candidates import Way, base_motion_ways, way_of
 from mphygs.diagnose.swings import swing_frequencies
+from mphygs.diagnose.ways import Way, missing, plain_way, swing_way
 from mphygs.model.belief import Belief
+from mphygs.model.descriptor import EffectSpec
 
 FREQUENCIES = 2
 # Periods in the frames that are too few for the misfit's spectrum to show.
@@ -59,33 +60,54 @@ def _split(power: np.ndarray, first: int, last: int) -> tuple[float, int, tuple[
     return float(gain[best]), first + int(k[best]), (first, last)
 
 
-def pulse_ways(belief: Belief, seen: Sequence[float], period: float) -> list[Way]:
-    """Pulses of the frame, each half a sine, of a few widths.
+def pulse_ways(belief: Belief, spec: EffectSpec, seen: Sequence[float], period: float) -> list[Way]:
+    """Pulses, each half a sine, of a few widths.
 
     seen: when their misfits begin to show [s]; period: of the swing that they leave [s].
     """
-    if "base_motion" in belief.effects:
-        return []
+    (frequency,), (phase,), (pulse,) = (spec.of_role(r) for r in ("frequency", "phase", "switch"))
     ways: dict[str, Way] = {}  # two that would begin before the recording are one
     for time in seen:
         for share in PULSE_WIDTHS:
             width = share * period
             begin = max(time - SEEN_AT * width, 0.0)
-            values = {"f": 0.5 / width, "phase": -np.pi * begin / width, "pulse": 1.0}
-            label = f"base_motion, a pulse of {width:.3g} s from {begin:.3f} s on"
-            ways[label] = way_of(belief, "base_motion", label, ["a_x", "a_y", "a_z"], values=values)
+            values = {frequency.name: 0.5 / width, phase.name: -np.pi * begin / width, pulse.name: 1.0}
+            label = f"{spec.name}, a pulse of {width:.3g} s from {begin:.3f} s on"
+            ways[label] = plain_way(belief, spec, label, values)
     return list(ways.values())
 
 
-def shaking_ways(belief: Belief, residual: np.ndarray, fps: float, begin: float) -> list[Way]:
-    """Harmonic motions of the frame, and pulses, as a misfit suggests them.
+def swing_ways(belief: Belief, spec: EffectSpec, frequencies: Sequence[float]) -> list[Way]:
+    """Harmonic motions, sine and cosine, at given frequencies [Hz]."""
+    (frequency,) = spec.of_role("frequency")
+    return [
+        swing_way(belief, spec, f"{spec.name} at {f:.3g} Hz", {frequency.name: float(f)}) for f in frequencies
+    ]
 
-    residual: (T, M, 3) [m], NaN where not seen; begin: time of its first frame [s].
+
+def shaking_ways(
+    belief: Belief,
+    transfer: str,
+    residual: np.ndarray,
+    fps: float,
+    begin: float,
+    *,
+    names: Sequence[str] | None = None,
+) -> list[Way]:
+    """What swings with a frequency, or acts in pulses, as a misfit suggests it.
+
+    residual: (T, M, 3) [m], NaN where not seen; begin: time of its first frame [s]; names: effects to
+    consider (None: all).
     """
     common = mean_seen(residual, 1)
     common = np.nan_to_num(common - mean_seen(common, 0))
     swings = swing_frequencies(common, fps, FREQUENCIES)
-    ways = base_motion_ways(belief, [*swings, *(share * fps / len(residual) for share in SLOW)])
-    if swings:
-        ways += pulse_ways(belief, [begin + k / fps for k in rises(residual, RISES)], 1.0 / swings[0])
+    slow = [share * fps / len(residual) for share in SLOW]
+    moments = [begin + k / fps for k in rises(residual, RISES)] if swings else []
+    ways: list[Way] = []
+    for spec in missing(belief, transfer, names):
+        if spec.of_role("frequency"):
+            ways += swing_ways(belief, spec, [*swings, *slow])
+            if spec.of_role("switch") and swings:
+                ways += pulse_ways(belief, spec, moments, 1.0 / swings[0])
     return ways

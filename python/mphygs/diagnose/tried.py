@@ -7,16 +7,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mphygs.diagnose.contact_search import walls, with_wall
-from mphygs.diagnose.ranking import Entry
+from mphygs.diagnose.ranking import Entry, lost
 from mphygs.diagnose.trials import score_trials
-from mphygs.diagnose.trials_of import Trial, compliance_trials, hung_trials, plasticity_trials
+from mphygs.diagnose.trials_of import Trial, trials_of
+from mphygs.diagnose.ways import missing
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.settings import MLS
 
 
 def tried_effects(
@@ -36,40 +36,43 @@ def tried_effects(
     name = evaluation.worst
     _first, last = problem.ranges[name]
     problem = problem.with_ranges({name: problem.ranges[name], **problem.ranges})
-    observation = experiment.observations[name]
+    observation, predictor = experiment.observations[name], problem.predictors[name]
     groups: dict[str, list[Trial]] = {}
-    if names is None or "contact" in names:
-        workers = experiment.settings.workers
-        found = walls(
-            problem, observation, belief, evaluation, share=share, workers=workers, report=report
-        )
-        groups["contact"] = [Trial("contact", plane.label, with_wall(own, plane)) for own, plane in found]
-    if names is None or "plasticity" in names:
-        groups["plasticity"] = plasticity_trials(problem.predictors[name], belief, last)
-    if (names is None or "hold_compliance" in names) and problem.settings.transfer != MLS:
-        groups["hold_compliance"] = compliance_trials(experiment.capture, belief)
-    if names is None or "attached_mass" in names:
-        groups["attached_mass"] = hung_trials(experiment.capture, belief, list(problem.ranges))
+    for spec in missing(belief, problem.settings.transfer, names):
+        if spec.of_role("offset"):
+            found = walls(
+                problem, observation, belief, evaluation, spec,
+                share=share, workers=experiment.settings.workers, report=report,
+            )  # fmt: skip
+            groups[spec.name] = [Trial(spec.name, p.label, with_wall(own, spec, p)) for own, p in found]
+        else:
+            groups[spec.name] = trials_of(
+                spec, experiment.capture, predictor, belief, last, list(problem.ranges)
+            )
 
-    def tried(own: Experiment, trial: Trial) -> Evaluation | None:
+    def tried(own: Experiment, trial: Trial) -> Evaluation | str:
         try:
             return own.window(problem.settings.spacing, share).evaluate(trial.belief, jacobian=False)
-        except SimulationError:
-            return None
+        except SimulationError as error:
+            return str(error)
 
     entries = []
     for kind, trials in groups.items():
         if report:
             for trial in trials:
                 report(f"trial: {trial.effect}, {trial.label}")
-        changes, kept = [], []
+        changes, kept, why = [], [], ""
         for trial, moved in zip(trials, side_by_side(experiment, tried, trials), strict=True):
-            if moved is not None:
+            if isinstance(moved, str):
+                why = why or moved
+            else:
                 changes.append(
                     evaluation.residual[: evaluation.data_rows] - moved.residual[: evaluation.data_rows]
                 )
                 kept.append(trial)
         if not kept:
+            if trials:
+                entries.append(lost(kind, trials[0].label, why, belief, evaluation.misfit))
             continue
         matrix = np.vstack(
             [np.stack(changes, axis=1), np.zeros((len(residual) - len(changes[0]), len(kept)))]
@@ -95,7 +98,7 @@ def tried_effects(
                 {},
                 trial.belief,
                 # Trials of a wall are places, those of other effects sizes: no way leads from one to another.
-                others=tuple(t.belief for t in kept if t is not trial) if kind == "contact" else (),
+                others=tuple(t.belief for t in kept if t is not trial and effect(kind).of_role("offset")),
             )
         )
     return entries

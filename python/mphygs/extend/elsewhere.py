@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mphygs.diagnose.candidates import PLACES, spread_places
+from mphygs.diagnose.ways import PLACES, spread_places
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.places import LONGEST_COORDINATE, movable, moved, place_of, relocated, walked
 from mphygs.fit.problem import Problem

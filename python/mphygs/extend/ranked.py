@@ -11,13 +11,13 @@ from mphygs.compare.allowance import Allowance
 from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
+from mphygs.diagnose.ways import pushes
 from mphygs.extend.step import Step
 from mphygs.extend.window import ON_THE_WAY, at_other_scales, tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.model.registry import effects
 
-# What tells common scales of the materials apart where something acts from the start on.
-LOADS = ("gravity", "wind", "base_motion")
 # Of the excess over noise: where no effect promises more, other materials have made up for the true one.
 LITTLE = 0.15
 
@@ -87,7 +87,9 @@ def _from_afar(
     """Where a first model is far off even on the first few frames: these frames seen with all parts as soft
     as usual, at the scale at which a load promises to leave least."""
     best, least = None, np.inf
-    loads = LOADS if names is None else [name for name in LOADS if name in names] or names
+    # What tells common scales of the materials apart where something acts from the start on.
+    pushing = [name for name, spec in effects().items() if pushes(spec)]
+    loads = pushing if names is None else [name for name in pushing if name in names] or names
     for solution in at_other_scales(experiment, window, spacing):
         ranking = rank(
             experiment, solution.belief, solution.evaluation, spacing, share=window[0],

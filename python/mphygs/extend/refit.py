@@ -21,6 +21,7 @@ from mphygs.fit.levenberg_marquardt import TOO_LITTLE, Solution, approached, min
 from mphygs.fit.places import relocated
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief, Parameter
+from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.scope import in_scope
 
@@ -99,17 +100,13 @@ class Refit:
 
 
 def _scaled(entry: Entry, start: Belief, belief: Belief, strength: float) -> Belief:
-    """A start of the entry with the effect's strengths (parameters whose null is zero) times a factor."""
-    out = start
-    for parameter in start.parameters:
-        if (
-            parameter.key.startswith(f"{entry.effect}.")
-            and parameter.free
-            and not parameter.log
-            and entry.kind != "threshold"
-        ):
-            if parameter.key.split(".", 1)[1] in ("f", "phase", "nu"):
-                continue
+    """A start of the entry with the effect's strengths times a factor."""
+    out, spec = start, effect(entry.effect)
+    # Of what replaces something else the null is no zero, and there is nothing to scale.
+    scaled = [] if spec.replaces or spec.threshold else [*spec.of_role("strength"), *spec.of_role("flow")]
+    for p in scaled:
+        parameter = start[f"{spec.name}.{p.name}"]
+        if parameter.free and not parameter.log:
             value = float(np.clip(parameter.value * strength, parameter.lower, parameter.upper))
             out = out.with_parameter(parameter.key, value=value)
     fitted = {p.key: p.value for p in belief.parameters}

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.diagnose.candidates import Way, late_ways, smooth_ways
 from mphygs.diagnose.next_motion import Proposed, propose
 from mphygs.diagnose.ranking import Entry
+from mphygs.diagnose.ways import Way, late_ways, smooth_ways
 from mphygs.extend.discover import Discovery
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
