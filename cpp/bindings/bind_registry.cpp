@@ -44,6 +44,7 @@ py::list effects() {
         d["loads_at_rest"] = info->loads_at_rest;
         d["corrects_gravity"] = info->corrects_gravity;
         d["carries_gravity"] = info->carries_gravity;
+        d["simpler"] = info->simpler;
         d["not_with_mls"] = info->not_with_mls;
         d["parameters"] = parameters_of(*info);
         list.append(d);
@@ -110,11 +111,33 @@ void bind_registry(py::module_& m) {
         "complete",
         [](const Array<double>& parameters, const py::list& active, double youngs_modulus, double spacing) {
             std::vector<double> values = numbers(parameters);
-            complete_all(make_slots(to_active(active)), values.data(), {youngs_modulus, spacing});
+            complete_all(make_slots(to_active(active)), values.data(), {youngs_modulus, spacing, 0.0});
             return array_of(std::move(values));
         },
         py::arg("parameters"), py::arg("active"), py::arg("youngs_modulus"), py::arg("spacing"),
         "The flat array with what active effects choose themselves: least Young's modulus [Pa] and edge of a cell [m].");
+    m.def(
+        "simplified",
+        [](const std::string& name, const Array<double>& own, double shear_modulus) {
+            std::vector<double> result;
+            const std::vector<double> q = to_vector<double>(own);
+            Registry::each([&](auto tag, int) {
+                using E = typename decltype(tag)::type;
+                if (name != E::info.name) {
+                    return;
+                }
+                if (q.size() != static_cast<std::size_t>(E::info.parameter_count())) {
+                    throw py::value_error(name + ": expected all of its numbers");
+                }
+                double numbers[max_effect_parameters] = {};
+                if (simplify<E>(q.data(), {0.0, 0.0, shear_modulus}, numbers)) {
+                    result.assign(numbers, numbers + max_effect_parameters);
+                }
+            });
+            return result;
+        },
+        py::arg("name"), py::arg("own"), py::arg("shear_modulus"),
+        "First numbers of the simpler effect that one is in a limit, of its own; empty where it does not say.");
 }
 
 }  // namespace mphygs_python

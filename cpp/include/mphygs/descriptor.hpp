@@ -8,6 +8,9 @@
 //   static void worst_case(double* q)                       makes its numbers those with which all of it acts that
 //                                                           can: the rates that bound the substep are taken there
 //   static void complete(double* q, const ObjectScales&)    chooses the numbers that are left at their null
+//   static void simplify(const double* q, const ObjectScales&, double* of_simpler)
+//                                                           the numbers of the simpler effect in the limit in which
+//                                                           it is that one; without it, those of the same name
 #pragma once
 
 namespace mphygs {
@@ -57,6 +60,7 @@ struct EffectInfo {
                                     // what acts in the volume does so without saying it
     bool corrects_gravity = false;  // its three numbers add to the gravity vector
     bool carries_gravity = false;   // its three numbers are the gravity that the rest shape carries: `prestress paper`
+    const char* simpler = "";       // the effect that it is where its flow is nothing, or as its level goes to zero
     const char* not_with_mls = "";  // why the MLS-MPM transfer cannot have it; empty where it can
     ParameterInfo parameters[max_effect_parameters] = {};
 
@@ -73,6 +77,7 @@ struct EffectInfo {
 struct ObjectScales {
     double youngs_modulus;  // least [Pa]
     double spacing;         // least edge of a cell [m]
+    double shear_modulus;   // geometric mean of the parts' [Pa]
 };
 
 template <class E>
@@ -88,6 +93,17 @@ template <class E>
 void worst_case([[maybe_unused]] double* q) {
     if constexpr (requires { E::worst_case(q); }) {
         E::worst_case(q);
+    }
+}
+
+/// False where it does not say.
+template <class E>
+bool simplify([[maybe_unused]] const double* q, [[maybe_unused]] const ObjectScales& of, [[maybe_unused]] double* of_simpler) {
+    if constexpr (requires { E::simplify(q, of, of_simpler); }) {
+        E::simplify(q, of, of_simpler);
+        return true;
+    } else {
+        return false;
     }
 }
 

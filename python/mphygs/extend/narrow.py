@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.extend.finer import compared_again, lent
-from mphygs.extend.special import LIMITS, SPECIAL, without_memory
+from mphygs.extend.special import further, limit_of, simple_of, without_memory
 from mphygs.extend.step import Step, does_alike
 from mphygs.extend.steps import uncertainty
 from mphygs.fit.experiment import Experiment
@@ -31,18 +31,19 @@ def narrowed(experiment: Experiment, step: Step, report: Callable[[str], None] |
     """
     if not step.explained:
         return step
-    wider = {wide: simple for wide, (simple, _) in SPECIAL.items()} | LIMITS
-    for wide, simple in wider.items():
+    for wide in step.belief.effects:
+        simple, limit = simple_of(wide), limit_of(wide)
         effects = step.belief.effects
-        known = {*step.ties, *effects} if wide in LIMITS else effects
-        if wide not in effects or simple in known:
+        known = {*step.ties, *effects} if limit else effects
+        simple = simple or limit
+        if simple is None or wide not in effects or simple in known:
             continue
         belief = _narrower(experiment, step.belief, wide, simple)
         if belief is None:
             continue
         after = _with(experiment, step, belief, wide, simple, report)
-        if after is None or not after.explained or wide in LIMITS and not does_alike(after, step):
-            if wide in SPECIAL and _untold(experiment, step, wide, SPECIAL[wide][1]):
+        if after is None or not after.explained or limit and not does_alike(after, step):
+            if not limit and _untold(experiment, step, wide, further(wide)):
                 step = replace(step, ties=tuple(dict.fromkeys((*step.ties, simple))))
             continue
         if report:
@@ -98,8 +99,8 @@ def _with(
 def _narrower(experiment: Experiment, belief: Belief, wide: str, simple: str) -> Belief | None:
     """The belief with `simple` in the place of `wide`, its parameters where those of the same name were; None
     where it is no limit of it there."""
-    if wide in LIMITS:
-        return without_memory(belief, experiment.capture.sequence(next(iter(experiment.fitted))).fps)
+    if limit_of(wide):
+        return without_memory(belief, wide, experiment.capture.sequence(next(iter(experiment.fitted))).fps)
     found = {p.key.rsplit(".", 1)[1]: p.value for p in belief.parameters if p.key.startswith(f"{wide}.")}
     kept = {p.name: found[p.name] for p in effect(simple).parameters if p.name in found}
     return belief.without_effect(wide).with_effect(simple, kept)

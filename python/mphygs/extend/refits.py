@@ -23,7 +23,7 @@ from mphygs.extend.following import (
 from mphygs.extend.lent import with_lent_materials
 from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
 from mphygs.extend.settle import ALIKE, ALIKE_EXCESS, RIVAL
-from mphygs.extend.special import LIMITS, SHORT_ENOUGH, simple_of, wider_than, without_memory
+from mphygs.extend.special import SHORT_ENOUGH, limit_of, simple_of, wider_than, without_memory
 from mphygs.extend.step import Step
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
@@ -179,14 +179,14 @@ def _with_limits(
     iterations: int = FIRST,
     accuracy: float = ACCURACY,
 ) -> list[Begun]:
-    """The refits, with a viscosity begun where a relaxation led that is over in a short time: alone it may be
-    far from its strength yet."""
-    led = next((fit.belief for _, entry, fit in begun if entry.effect == "relaxation"), None)
-    entry = next((e for e in ranking.entries if e.effect == LIMITS["relaxation"]), None)
-    if led is None or entry is None:
+    """The refits, with an effect's limit begun where that one led and is over in a short time: alone it may
+    be far from its strength yet."""
+    wide, led = next(((e.effect, fit.belief) for _, e, fit in begun if limit_of(e.effect)), ("", None))
+    entry = next((e for e in ranking.entries if led is not None and e.effect == limit_of(wide)), None)
+    if entry is None:
         return list(begun)
     fps = experiment.capture.sequence(next(iter(experiment.fitted))).fps
-    start = without_memory(led, fps, short=SHORT_ENOUGH)
+    start = without_memory(led, wide, fps, short=SHORT_ENOUGH)
     if start is None:
         return list(begun)
     try:
@@ -195,7 +195,7 @@ def _with_limits(
     except SimulationError:
         return list(begun)
     own = next((chi_square for chi_square, e, _ in begun if e is entry), np.inf)
-    say(f"{entry.effect} from the relaxation, whose time is short: {fit.evaluation.misfit:.3f} sigma")
+    say(f"{entry.effect} from the {wide}, whose time is short: {fit.evaluation.misfit:.3f} sigma")
     if fit.evaluation.chi_square >= own:
         return list(begun)
     rest = [item for item in begun if item[1] is not entry]

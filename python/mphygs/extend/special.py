@@ -1,4 +1,7 @@
-"""Effects that are another one with more numbers: whatever that one explains they explain as well."""
+"""Effects that are another one with more numbers: whatever that one explains they explain as well.
+
+An effect says which: it is the simpler one where its flow is nothing, or as its level, a time, goes to zero.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +9,32 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from mphygs import _core
 from mphygs.extend.refit import in_logarithm
 from mphygs.model.belief import Belief
 from mphygs.model.materials import lame
+from mphygs.model.registry import effect
 
-# Effects that are another one where some of their parameters are zero: that one, and these parameters.
-SPECIAL = {"wind": ("air_drag", ("w_x", "w_y", "w_z"))}
-
-
-# An effect that becomes another one as a time of its own goes to zero; the time, in units of that between
-# frames, below which no frame tells the two apart, and below which one may lead to the other.
-LIMITS = {"relaxation": "viscosity"}
+# The time, in units of that between frames, below which no frame tells an effect from its limit, and below
+# which one may lead to the other.
 SHORT, SHORT_ENOUGH = 0.5, 2.0
 
 
 def simple_of(name: str) -> str | None:
-    """The effect that an effect is with some of its parameters zero, None where it is none."""
-    return SPECIAL[name][0] if name in SPECIAL else None
+    """The effect that an effect is with its flow at zero, None where it is none."""
+    spec = effect(name)
+    return spec.simpler or None if spec.of_role("flow") else None
+
+
+def limit_of(name: str) -> str | None:
+    """The effect that an effect becomes as its level goes to zero, None where it is none."""
+    spec = effect(name)
+    return spec.simpler or None if spec.of_role("level") else None
+
+
+def further(name: str) -> tuple[str, ...]:
+    """The numbers of an effect that are zero where it is the simpler one."""
+    return tuple(p.name for p in effect(name).of_role("flow"))
 
 
 def wider_than(name: str, among: Iterable[str]) -> tuple[str, ...]:
@@ -30,22 +42,26 @@ def wider_than(name: str, among: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(other for other in among if simple_of(other) == name))
 
 
-def without_memory(belief: Belief, fps: float, *, short: float = SHORT) -> Belief | None:
-    """The belief with a viscosity in the place of a relaxation that is over in a short time; None where it
-    has no such relaxation. fps: frames per second; short: in units of the time between frames.
-
-    Q' + Q / tau = ratio S' is Q = ratio tau S' as tau goes to zero: a viscosity of ratio tau mu.
-    """
-    if "relaxation" not in belief.effects or "viscosity" in belief.effects:
+def without_memory(belief: Belief, wide: str, fps: float, *, short: float = SHORT) -> Belief | None:
+    """The belief with its limit in the place of an effect whose time is over soon; None where it has it not,
+    or it takes longer. fps: frames per second; short: in units of the time between frames."""
+    simple = limit_of(wide)
+    if simple is None or wide not in belief.effects or simple in belief.effects:
         return None
-    ratio, tau = (belief[f"relaxation.{name}"].value for name in ("ratio", "tau"))
-    if tau > short / fps:
+    spec = effect(wide)
+    if any(belief[f"{wide}.{p.name}"].value > short / fps for p in spec.of_role("level")):
         return None
     moduli, ratios = (
         np.array([belief[f"{name}.{key}"].value for name in belief.parts])
         for key in ("youngs_modulus", "poissons_ratio")
     )
-    eta = ratio * tau * float(np.exp(np.mean(np.log(lame(moduli, ratios)[0]))))
-    after = belief.without_effect("relaxation").with_effect("viscosity", {"eta": eta})
-    p = in_logarithm(after["viscosity.eta"])
-    return after.with_parameter(p.key, log=p.log, lower=p.lower, value=p.value)
+    shear = float(np.exp(np.mean(np.log(lame(moduli, ratios)[0]))))
+    own = {p.name: belief[f"{wide}.{p.name}"].value for p in spec.parameters}
+    numbers = _core.simplified(wide, np.array(list(own.values())), shear) if spec.in_core else []
+    values = {p.name: own[p.name] for p in effect(simple).parameters if p.name in own}
+    values |= {p.name: float(x) for p, x in zip(effect(simple).parameters, numbers, strict=False)}
+    after = belief.without_effect(wide).with_effect(simple, values)
+    for name in values:
+        p = in_logarithm(after[f"{simple}.{name}"])
+        after = after.with_parameter(p.key, log=p.log, lower=p.lower, value=p.value)
+    return after

@@ -76,6 +76,7 @@ class EffectSpec:
     history: numbers that it carries per point; loads_at_rest: whether it loads the object at rest as well,
     where the rest shape is an equilibrium; corrects_gravity: its three numbers add to gravity;
     carries_gravity: they are the gravity that the rest shape carries, switched on by a belief's prestress;
+    simpler: the effect that it is where its flow is nothing, or as its level (a time) goes to zero;
     not_with_mls: why the MLS-MPM transfer cannot have it, empty where it can; settings: what its term needs
     besides numbers, of "place", "part" and "axis"; replaces: its null is no absence, for it takes the place
     of what the parts say. Raises ValueError for a vector that has not three components.
@@ -93,6 +94,7 @@ class EffectSpec:
     not_with_mls: str = ""
     settings: tuple[str, ...] = ()
     replaces: bool = False
+    simpler: str = ""
 
     def __post_init__(self) -> None:
         for role in VECTORS:

@@ -16,11 +16,16 @@ struct Relaxation {
         .summary = "Maxwell branch: Q' + Q/tau = ratio S'",
         .site = Site::volume,
         .history_count = 13,
+        .simpler = "viscosity",
         .parameters = {{"ratio", "-", 0, 0, 100, 0.1, true},
                        {"tau", "s", 0.1, 1e-4, 1e4, 0.1, true, Role::level, 0.02, 0.5}},
     };
     /// At the first instant the branch is a further spring.
     static double stiffness_factor(const double* q) { return 1.0 + q[0]; }
+    /// Q = ratio tau S' as tau goes to zero: a viscosity of ratio tau mu.
+    static void simplify(const double* q, const ObjectScales& of, double* viscosity) {
+        viscosity[0] = q[0] * q[1] * of.shear_modulus;
+    }
     static constexpr int uniform_count = 2;
     template <class S>
     static void uniforms(const S* p, typename ScalarOf<S>::type, typename ScalarOf<S>::type dt, S* q) {

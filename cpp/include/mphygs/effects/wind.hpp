@@ -11,6 +11,7 @@ struct Wind {
         .summary = "drag of a steady flow on the exposed surface",
         .site = Site::surface,
         .loads_at_rest = true,
+        .simpler = "air_drag",
         .parameters = {{"w_x", "m/s", 0, -50, 50, 1, true, Role::flow, 2, 2},
                        {"w_y", "m/s", 0, -50, 50, 1, true, Role::flow, 2, 2},
                        {"w_z", "m/s", 0, -50, 50, 1, true, Role::flow, 2, 2},
