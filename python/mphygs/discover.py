@@ -26,6 +26,7 @@ from mphygs.diagnose.missing_force_document import (
 )
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.__main__ import DOCUMENT
+from mphygs.extend.candidate_table import path_rows, path_text, table_text
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
 from mphygs.extend.step import Step
@@ -45,7 +46,7 @@ from mphygs.simulate.settings import check_effects
 PROGRAM = "mphygs discover"
 # The first model's fit, kept inside the run folder.
 FIRST = "first-fit"
-ANSWER = ("steps", "verdict", "effects", "run", "warnings")
+ANSWER = ("steps", "verdict", "effects", "run", "warnings", "table", "path")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +115,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     state, capture = fitted(first_options, console, screening=screening, again=again, ready=ready)
     console.resume = again
     if kept.get("verdict"):
-        answer = {key: kept[key] for key in ANSWER} | {"missing_force": kept.get("missing_force")}
+        answer = {key: kept.get(key, []) for key in ANSWER} | {"missing_force": kept.get("missing_force")}
         return Answer(answer, _text(answer, state.capture))
     begun = replace(state, left_out=kept_left_out(kept))
     experiment, belief = experiment_of(begun, workers=options.workers)
@@ -228,6 +229,8 @@ def _conclude(
         "effects": list(found.effects),
         "run": str(out),
         "warnings": list(found.warnings),
+        "table": list(found.table),
+        "path": path_rows(plain(done.documents)),
         "missing_force": None if missing is None else missing.document(),
     }
     given = {key: str(v) if isinstance(v, Path) else v for key, v in asdict(options).items()}
@@ -239,13 +242,14 @@ def _conclude(
         entries = ranking_entries(found.steps, found.rankings[0], experiment)
         drift = drift_entries(found.rankings[0])
     if entries is not None:
-        document = diagnosis_document(found, entries, missing, drift=drift)
+        document = diagnosis_document(found, entries, missing, drift=drift, path=answer["path"])
         replace_file(out / DIAGNOSIS, json.dumps(plain(document), indent=1) + "\n")
     return answer
 
 
 def _text(answer: Mapping, capture: Path) -> str:
     lines = steps_text(plain(answer["steps"]))
+    lines += [*table_text(plain(answer["table"])), *path_text(plain(answer["path"]))]
     lines += ["", f"verdict: {answer['verdict']}; effects: {', '.join(answer['effects']) or 'none'}"]
     lines += [f"warning: {line}" for line in answer["warnings"]]
     folder = shlex.quote(str(answer["run"]))

@@ -104,7 +104,9 @@ def test_extend_refuses_in_one_line(elastic: Path, tmp_path: Path, arguments: li
 def test_diagnose_names_what_is_missing(elastic: Path) -> None:
     before = (elastic / "run.json").read_bytes()
     found = answer(diagnose.main, elastic, "--effects", CANDIDATES)
-    assert set(found) == {"verdict", "effects", "ranking", "missing_force", "drift", "advice"}
+    assert set(found) == {
+        "verdict", "effects", "ranking", "missing_force", "drift", "advice", "table", "path",
+    }  # fmt: skip
     assert (found["verdict"], found["effects"]) == ("missing", ["viscosity"])
     first, second = found["ranking"]
     assert (first["effect"], first["kind"], second["effect"]) == ("viscosity", "smooth", "gravity")
@@ -112,6 +114,19 @@ def test_diagnose_names_what_is_missing(elastic: Path) -> None:
     assert first["p_value"] < 1e-6
     assert 0.5 * ETA < first["estimate"]["eta"] < 2 * ETA
     assert set(first) >= {"expected_rms", "confounded_with"}
+    row, other = found["table"]
+    assert (row["effect"], row["struck"], row["numbers"]) == ("viscosity", None, 1)
+    assert row["predicted_drop"] == first["statistic"] and row["drop"] == first["refitted"]
+    assert row["gain"] > 2 * row["gain_se"] > 0.0
+    assert abs(row["estimate"]["eta"] - ETA) < 4 * row["std"]["eta"]
+    assert other["effect"] == "gravity" and other["struck"]
+    before_, after_ = found["path"]
+    assert (before_["model"], after_["model"]) == ([], ["viscosity"])
+    assert 0.9 < after_["fitted"] < 1.1 and after_["unseen_fall"] == pytest.approx(
+        1.0 - after_["unseen"] / before_["unseen"]
+    )
+    assert not before_["adequate"] and before_["p_value"] < 0.01
+    assert after_["adequate"] and (after_["p_value"] >= 0.01 or after_["fitted"] < 1.1)
     assert "viscosity" in found["advice"]
     assert json.loads((elastic / "diagnosis.json").read_text()) == found
     assert (elastic / "run.json").read_bytes() == before

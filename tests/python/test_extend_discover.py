@@ -1029,6 +1029,7 @@ def test_what_explains_too_little_is_not_kept(
 
     whole = (1.0, first.solution)
     patches: dict[str, Callable] = {
+        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (),
         "ranked": lambda *_, **__: (whole, False, ranking_of()), "refits_of": refits_of,
         "choose": lambda refits: (refits[0], []),
         "step_of": lambda *_: found, "settled": lambda *_, **__: found, "pruned": lambda _e, step, *_: step,
@@ -1079,6 +1080,8 @@ def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
     monkeypatch.setattr(discover, "reconciled", lambda _e, step, _r: step)
     monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
     monkeypatch.setattr(discover, "without_loads", lambda _e: ())
+    monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
+    monkeypatch.setattr(discover, "undetermined", lambda *_: ())
     # A loop that is resumed stops where it would have.
     found = discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
     assert found.verdict == "unknown" and len(looked) == goes_on
@@ -1104,6 +1107,7 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
     pays = SimpleNamespace(pays=True, surprising=False, entry=SimpleNamespace(effect="wind"))
     rounds = iter([[pays]])
     patches: dict[str, Callable] = {
+        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (),
         "ranked": lambda *_, **__: ((1.0, steps[-1].solution), False, ranking_of()),
         "refits_of": lambda *_, **__: next(rounds, []),
         "choose": lambda refits: (refits[0], []), "step_of": lambda *_: last,
@@ -1144,6 +1148,8 @@ def test_a_step_that_was_kept_is_not_asked_again_for_its_grid(
     monkeypatch.setattr(discover, "readmitted", lambda _e, step, _r: step)
     monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)
     monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
+    monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
+    monkeypatch.setattr(discover, "undetermined", lambda *_: ())
     experiment = SimpleNamespace(capture=None)
     found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
     assert len(went) == asked
@@ -1164,6 +1170,8 @@ def test_an_exchange_that_explains_no_longer_is_not_made(
     monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
     monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)
     monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
+    monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
+    monkeypatch.setattr(discover, "undetermined", lambda *_: ())
     monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
     experiment = SimpleNamespace(capture=None)
     found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())

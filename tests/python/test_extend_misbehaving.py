@@ -63,6 +63,11 @@ def test_the_loop_goes_on_without_it(misbehaving: str) -> None:
     found = discover(experiment, belief, SPACING, names=("viscosity", misbehaving))
     assert (found.verdict, found.effects) == ("missing", ("viscosity",))
     assert found.steps[-1].belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.1)
+    rows = {row["effect"]: row for row in found.table}
+    assert set(rows) == {"viscosity", misbehaving} and rows["viscosity"]["struck"] is None
+    # With its reason; one that does nothing at its null is simulated there, and lost later.
+    reason, blew_up = rows[misbehaving]["struck"], misbehaving.endswith("blows_up")
+    assert reason and (blew_up or "own_" in reason or reason.startswith("unstable"))
 
 
 @pytest.mark.parametrize("substep", [0.0, -1e-3, float("nan"), 1e-30])

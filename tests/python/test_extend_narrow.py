@@ -106,7 +106,7 @@ def damped(tau: float) -> tuple[Experiment, Step]:
 def test_a_relaxation_without_memory_is_a_viscosity() -> None:
     experiment, step = damped(0.0)
     assert step.explained and step.belief["relaxation.tau"].value < SHORT / 100.0
-    begun = without_memory(step.belief, 100.0)
+    begun = without_memory(step.belief, "relaxation", 100.0)
     assert begun is not None and begun["viscosity.eta"].log
     # Q = ratio tau S': the same work on a motion that is slow beside tau.
     assert begun["viscosity.eta"].value == pytest.approx(VISCOSITY, rel=0.5)
@@ -120,7 +120,7 @@ def test_a_relaxation_without_memory_is_a_viscosity() -> None:
 def test_a_relaxation_with_memory_stays() -> None:
     experiment, step = damped(0.03)
     assert step.explained and step.belief["relaxation.tau"].value > SHORT / 100.0
-    assert without_memory(step.belief, 100.0) is None
+    assert without_memory(step.belief, "relaxation", 100.0) is None
     assert narrowed(experiment, step) is step
 
 
@@ -130,7 +130,7 @@ def test_a_viscosity_that_explains_less_is_not_told_for_a_short_relaxation(
 ) -> None:
     """Both are explained: what the viscosity leaves beyond noise decides."""
     experiment, step = damped(0.0)
-    viscous = without_memory(step.belief, 100.0)
+    viscous = without_memory(step.belief, "relaxation", 100.0)
     other = replace(step, added=("viscosity",), belief=viscous, assessment=assessment_of(left))
     assert other.explained
     monkeypatch.setattr(narrow, "_with", lambda *_: other)

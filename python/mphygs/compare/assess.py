@@ -106,8 +106,11 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
 @dataclass(frozen=True, eq=False)
 class Assessment:
     """adequate: no more misfit than the floor; p_value: of a misfit this large with the discretisation's
-    share allowed for; ratio: sequence -> range -> root mean square over sigma of the whitened residual;
-    budget: shares of the mean square [m^2] as root mean squares [m]; where, when: as the command prints."""
+    share allowed for, as the verdict goes by it where a refinement has shown that share; grid: that share,
+    root mean square over all rows [sigma]; by: what the misfit is no more than, "noise" (and the grid, by the
+    test of the floor), "grid" (as measured, range by range) or "tolerance", None where it is more; ratio:
+    sequence -> range -> root mean square over sigma of the whitened residual; budget: shares of the mean
+    square [m^2] as root mean squares [m]; where, when: as the command prints."""
 
     adequate: bool
     p_value: float
@@ -116,6 +119,8 @@ class Assessment:
     where: list[dict]
     when: list[dict]
     budget: dict[str, float]
+    grid: float = 0.0
+    by: str | None = None
 
     @property
     def worst(self) -> float:
@@ -193,19 +198,42 @@ def assess(
     budget = _budget(whitened, share)
     # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
     # range: fitted frames may not pay for what unseen ones show.
-    beyond = [
-        float(np.mean(whitened.residual[rows] ** 2) - np.mean(share[rows] ** 2)) for rows in _ranges(whitened)
-    ]
-    own = np.any(whitened.refinement) and max(beyond) <= BUDGET_FLOOR**2 and worst < LARGEST_GRID_ERROR
+    own = np.any(whitened.refinement) and worst < LARGEST_GRID_ERROR
+    own_p = _beyond_the_grid(whitened, share) if own else 0.0
+    by = None
+    if floor.reached and worst <= LARGEST_EXCUSED:
+        by = "noise"
+    elif own_p >= level:
+        by = "grid"
+    elif worst <= PRACTICAL_FLOOR:
+        by = "tolerance"
     return Assessment(
-        adequate=bool(worst <= PRACTICAL_FLOOR or (floor.reached and worst <= LARGEST_EXCUSED) or own),
-        p_value=floor.p_value,
+        adequate=by is not None,
+        p_value=max(_p_value(floor), own_p),
         ratio=found,
         floor=floor,
         where=_where(whitened, part_names, part_centers),
         when=_when(whitened, block_frames),
         budget=budget,
+        grid=float(np.sqrt(np.mean(share**2))),
+        by=by,
     )
+
+
+def _p_value(floor: Floor) -> float:
+    """Of all rows, or of the block that is above the floor where one is."""
+    return min(floor.p_value, *(float(floor.block_p_values[k]) for k in floor.significant_blocks), 1.0)
+
+
+def _beyond_the_grid(whitened: Whitened, share: np.ndarray) -> float:
+    """p-value of what the grid's share does not cover, in the range in which it is least: of a misfit this
+    large where noise is as large as `BUDGET_FLOOR` says at most (Bonferroni over the ranges)."""
+    ranges = _ranges(whitened)
+    found = []
+    for rows in ranges:
+        beyond = float(np.sum(whitened.residual[rows] ** 2) - np.sum(share[rows] ** 2))
+        found.append(chi2.sf(max(beyond, 0.0) / BUDGET_FLOOR**2, int(rows.sum())))
+    return float(min(1.0, len(ranges) * min(found)))
 
 
 def _excess(whitened: Whitened, rows: np.ndarray) -> float:

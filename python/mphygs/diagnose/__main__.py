@@ -26,6 +26,7 @@ from mphygs.diagnose.missing_force_document import (
 from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
+from mphygs.extend.candidate_table import path_rows, path_text, table_text
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.kept import (
     Kept,
@@ -154,10 +155,12 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     missing = with_plugin_in(missing, state.folder, state.options.get("plugin"))
     keep_missing_force(missing, state.folder, state.options.get("plugin"))
     motions = motions_to_record(found, experiment, trying, report=console.say)
-    document = diagnosis_document(found, entries, missing, motions, drift=drift)
+    path = path_rows(plain(done.documents))
+    document = diagnosis_document(found, entries, missing, motions, drift=drift, path=path)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
     so_far.unlink()
     lines = diagnosis_text(plain(document))
+    lines += [*table_text(plain(document["table"])), *path_text(path)]
     if missing is not None:
         lines += ["", *missing_force_text(document["missing_force"], state.capture, state.folder)]
     return Answer(document, "\n".join(lines))
@@ -233,15 +236,18 @@ def diagnosis_document(
     motions: Sequence[Proposed] = (),
     *,
     drift: Sequence[Mapping[str, object]] = (),
+    path: Sequence[Mapping[str, object]] = (),
 ) -> dict[str, object]:
     """The JSON of a diagnosis. entries: see `ranking_entries`; motions: that would tell the first effect from
-    its rival; drift: see `drift_entries`."""
+    its rival; drift: see `drift_entries`; path: see `path_rows`."""
     return {
         "verdict": found.verdict,
         "effects": list(found.effects),
         "ranking": list(entries),
         "missing_force": None if missing is None else missing.document(),
         "drift": list(drift),
+        "table": list(found.table),
+        "path": list(path),
         "advice": advice(found.verdict, found.effects, entries, found.warnings, motions=motions),
     }
 

@@ -20,13 +20,17 @@ MINIMUM_BLOCKS = 4
 
 @dataclass(frozen=True)
 class GainInterval:
-    """Log-likelihood gain on unseen observations. gain: its sum; low, high: the bootstrap interval; plain: by
-    how much the plain mean square falls, averaged over recordings [sigma^2], None where it is not known."""
+    """Log-likelihood gain on unseen observations.
+
+    gain: its sum; low, high: the bootstrap interval; error: its standard error; plain: by how much the plain
+    mean square falls, averaged over recordings [sigma^2], None where it is not known.
+    """
 
     gain: float
     low: float
     high: float
     block_count: int
+    error: float = 0.0
     plain: float | None = None
 
     @property
@@ -65,4 +69,5 @@ def gain_interval(
     totals = generator.multinomial(count, np.full(count, 1.0 / count), size=draws) @ gains
     tail = norm.cdf(np.sqrt(count / (count - 1.0)) * t.ppf(0.5 * (1.0 - confidence), count - 1))
     low, high = np.quantile(totals, [tail, 1.0 - tail])
-    return GainInterval(float(gains.sum()), float(low), float(high), count)
+    error = float(totals.std() * np.sqrt(count / (count - 1.0)))
+    return GainInterval(float(gains.sum()), float(low), float(high), count, error)

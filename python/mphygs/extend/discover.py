@@ -13,6 +13,7 @@ from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.anew import anew
+from mphygs.extend.candidate_table import Row, candidate_rows
 from mphygs.extend.exchange import exchanged
 from mphygs.extend.finer import compared_at
 from mphygs.extend.grids import finely, polished, refined, with_budget
@@ -27,6 +28,7 @@ from mphygs.extend.refits import refits_of
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
+from mphygs.extend.steps import undetermined
 from mphygs.extend.window import HALF, passed_on_the_way
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
@@ -47,13 +49,15 @@ FAR_LESS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """verdict: adequate, missing, unknown or measurement; effects: concluded, most certain first."""
+    """verdict: adequate, missing, unknown or measurement; effects: concluded, most certain first; table: the
+    candidates of the first round (see `candidate_rows`), empty where there was none."""
 
     verdict: str
     effects: tuple[str, ...]
     steps: tuple[Step, ...]
     rankings: tuple[Ranking, ...]
     warnings: tuple[str, ...] = field(default_factory=tuple)
+    table: tuple[Row, ...] = ()
 
 
 def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
@@ -139,6 +143,7 @@ def discover(
     steps = list(start) or [first_fit(experiment, belief, spacing, report=report)]
     rankings: list[Ranking] = []
     warnings: list[str] = []  # of the round that goes on
+    table: tuple[Row, ...] = ()  # of the last round that came to nothing
 
     def done(step: Step) -> None:
         steps.append(replace(step, warnings=(*warnings, *step.warnings)))
@@ -192,6 +197,7 @@ def discover(
         experiment.problems.clear()  # bad tracks may have been left out
         rankings.extend(alone.rankings)
         warnings.extend(alone.warnings)
+        table = alone.table
         among = []
         for step in alone.steps[1:]:
             try:
@@ -223,9 +229,16 @@ def discover(
                 f"  {entry.label}: chi^2 would fall by {entry.statistic:.0f} of {ranking.chi_square:.0f}, "
                 f"p {entry.p_value:.2g}"
             )
+        fates: dict[str, str] = {}
         finished = refits_of(
-            experiment, current, window, ranking, spacing, generator, say, afar=afar
+            experiment, current, window, ranking, spacing, generator, say, afar=afar, fates=fates
         )
+
+        def rows(
+            kept: Step | None, why: str = "", of: tuple = (ranking, finished, fates, current.belief)
+        ) -> tuple[Row, ...]:
+            return candidate_rows(*of, kept, why)
+
         for r in finished:
             if window[0] == 1.0 and r.surprising:
                 warnings.append(
@@ -234,6 +247,7 @@ def discover(
                 )
         refits = [r for r in finished if r.pays] or [r for r in finished if r.may_pay]
         if not refits:
+            table = rows(None)
             break
         best, rivals = choose(refits)
         step = step_of(best, spacing, finished, window[0])
@@ -245,11 +259,13 @@ def discover(
         step = judged(last)
         if not best.pays and not step.explained:
             say(f"{best.entry.effect}: does not pay on unseen frames")
+            table = rows(None)
             break
         if not step.explained and excess(step.assessment) > TOO_LITTLE * excess(steps[-1].assessment):
             say(f"{', '.join(step.added)}: explains too little of what is left")
+            table = rows(None, "explains too little of what is left")
             break
-        done(step)
+        done(replace(step, table=rows(step)))
         without_bad_tracks()
     experiment.whole = ()
     while len(steps) < LONGEST:
@@ -273,25 +289,38 @@ def discover(
             coarser = screening_spacing(experiment.capture)
             steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
         steps[-1] = narrowed(experiment, steps[-1], report)
-    return _conclude(steps, rankings, warnings, final=final)
+    return replace(
+        _conclude(
+            steps, rankings, warnings, final=final,
+            unsure=undetermined(steps[-1], experiment) if steps[-1].explained else (),
+        ),  # fmt: skip
+        table=next((step.table for step in steps if step.table), table),
+    )
 
 
 def _conclude(
-    steps: list[Step], rankings: list[Ranking], warnings: list[str], *, final: bool = True
+    steps: list[Step],
+    rankings: list[Ranking],
+    warnings: list[str],
+    *,
+    final: bool = True,
+    unsure: Sequence[str] = (),
 ) -> Discovery:
-    """What the steps come to; final: with what is to be said of the last one."""
+    """What the steps come to; final: with what is to be said of the last one; unsure: effects of its model of
+    which no number is determined: nothing that is concluded rests on them."""
     last = steps[-1]
     added: list[str] = []
     for step in steps:
         added += [name for name in step.added if name not in added]
         added = [name for name in added if name not in step.dropped]
-    if not last.explained:
+    told = [text for step in steps for text in step.warnings]
+    told += [f"{n}: in the model, but the data determine none of its numbers" for n in added if n in unsure]
+    if not last.explained or any(name in unsure for name in added):
         verdict, added = "unknown", []
     elif not added:
         verdict = "adequate"
     else:
         verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
-    told = [text for step in steps for text in step.warnings]
     if not final:
         return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))
     came = [

@@ -43,7 +43,7 @@ FIRST, FIRST_NEAR, FIRST_AFAR = 3, 2, 8
 ACCURACY, ACCURACY_AFAR = 1e-3, 1e-4
 # An effect predicted to explain less than this share of what the best would is not begun.
 WORTH_A_TRY = 0.1
-SIGNIFICANT = 1e-3
+SIGNIFICANT, LEAST_DROP = 1e-3, 16.0
 # Below LINEAR [sigma] an effect is tried only where it is predicted to take a share of the excess, less
 # where trials of a few sizes predict it, and, short of this share of what the best takes, more than effects
 # that do nothing; so many of the best where none takes its share.
@@ -71,7 +71,7 @@ def promising(ranking: Ranking) -> list[Entry]:
     and what would leave nearly all of the misfit, or explains less than an effect that does nothing, is not
     tried.
     """
-    good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > 16.0]
+    good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > LEAST_DROP]
     if ranking.chi_square < LINEAR**2 * ranking.rows:
         beyond = ranking.chi_square - ranking.rows
         # Smooth decoys do as well as most effects before a refit: they exclude none that is near the best.
@@ -100,23 +100,29 @@ def refits_of(
     say: Callable[[str], None],
     *,
     afar: bool = False,
+    fates: dict[str, str] | None = None,
 ) -> list[Refit]:
     """Refits of the promising entries, those that are closest after a few iterations brought to the end.
 
-    afar: whether the window is seen from materials that were not fitted to it.
+    afar: whether the window is seen from materials that were not fitted to it; fates: filled with why effects
+    were not brought to the end.
     """
     begun: list[Begun] = []
+    fates = {} if fates is None else fates
     # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     iterations = FIRST_AFAR if afar else FIRST_NEAR if near else FIRST
     accuracy = ACCURACY_AFAR if afar else ACCURACY
     entries = promising(ranking)
+    fates |= {e.effect: _unpromising(e) for e in ranking.entries if e not in entries}
     countdown = Countdown(say, "refits begun", len(entries))
     for wave in waves(entries):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
         # From afar no first iteration says how far one leads, and a few frames cost little.
         hopeless = np.inf if afar else HOPELESS * best
         chosen = [entry for entry in wave if not _far_behind(entry, ranking, begun)]
+        late = [entry for entry in wave if entry not in chosen]
+        fates |= {e.effect: "would stay behind, many times its promise or not" for e in late}
 
         def start(own: Experiment, entry: Entry, hopeless: float = hopeless) -> Solution | None:
             return start_refit(
@@ -134,6 +140,8 @@ def refits_of(
         for entry, solution in zip(chosen, side_by_side(experiment, start, chosen), strict=True):
             if solution is not None:
                 begun.append((solution.evaluation.chi_square, entry, solution))
+            else:
+                fates[entry.effect] = "cannot be simulated from its estimate"
         countdown.done(len(wave))
     begun = _with_limits(experiment, begun, ranking, window[0], spacing, say, iterations, accuracy)
     if afar:
@@ -143,6 +151,7 @@ def refits_of(
             iterations=iterations, accuracy=accuracy,
         )  # fmt: skip
     begun.sort(key=lambda item: item[0])
+    fates |= {e.effect: _begun_only(fit, window[0]) for _, e, fit in begun}
 
     def finished(of: Sequence[Begun]) -> list[Refit]:
         return _finished(experiment, current, of, near, spacing, generator, say)
@@ -167,6 +176,19 @@ def refits_of(
         say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
         found += finished(followed_onward(experiment, window[0], behind, spacing, say))
     return found
+
+
+def _unpromising(entry: Entry) -> str:
+    if entry.reason:
+        return entry.reason
+    if entry.p_value >= SIGNIFICANT or entry.statistic <= LEAST_DROP:
+        return f"not told from noise, p {entry.p_value:.2g}"
+    return "promises too little beside others"
+
+
+def _begun_only(fit: Solution, share: float) -> str:
+    frames = "" if share == 1.0 else f" of the first {100.0 * share:.0f} % of the frames"
+    return f"begun, and left {fit.evaluation.misfit:.2f} sigma{frames}"
 
 
 def _with_limits(

@@ -34,7 +34,8 @@ class Step:
     share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
     coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
     the model as it had been fitted on the coarser grid that it was brought from; halfway: of a first model,
-    as it had been fitted to half the frames on this grid; warnings: what was said on the way to it."""
+    as it had been fitted to half the frames on this grid; warnings: what was said on the way to it;
+    table: the candidates of the round that led to it (see `candidate_rows`)."""
 
     belief: Belief
     solution: Solution
@@ -53,6 +54,7 @@ class Step:
     rough: Belief | None = None
     halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
+    table: tuple[dict[str, object], ...] = ()
 
     def refitted(
         self, solution: Solution, compared: dict[str, Compared], assessment: Assessment, **changes: object

@@ -100,6 +100,7 @@ def restored(
         moved=state["moved"],
         rough=rough and belief_from_document(rough),
         warnings=tuple(state["warnings"]),
+        table=tuple(document.get("table", ())),
     )
 
 
@@ -169,8 +170,23 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
         "sequences": errors_of(experiment, step.compared),
         "adequate": step.assessment.adequate,
         "p_value": step.assessment.p_value,
+        "grid": step.assessment.grid if known_budget(step) else None,
+        "by": step.assessment.by or ("all frames" if step.reconciled else None),
+        "table": list(step.table),
         "parameters": parameters_document(belief, information, spread),
     }
+
+
+def undetermined(step: Step, experiment: Experiment) -> tuple[str, ...]:
+    """The effects of a step's model of which the data determine no number."""
+    known = uncertainty(step, experiment)
+    told = parameters_document(step.belief, known.information, known.covariance)
+    found = []
+    for name in step.belief.effects:
+        own = [entry["determined"] for key, entry in told.items() if key.startswith(f"{name}.")]
+        if own and not any(own):
+            found.append(name)
+    return tuple(found)
 
 
 def left_out_of(experiment: Experiment) -> dict[str, tuple[tuple[int, int], ...]]:

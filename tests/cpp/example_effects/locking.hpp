@@ -12,8 +12,10 @@ struct Locking {
         .site = Site::volume,
         .threshold = true,
         .parameters = {{"limit", "-", 1e3, 1e-4, 1e3, 0.1, true, Role::level, 1e-3, 1},
-                       {"k", "Pa", 0, 0, 1e9, 1e4, true}},
+                       {"k", "Pa", 0, 0, 1e9, 1e5, true}},
     };
+    /// At rest nothing is beyond the limit, and the stable step would not know of the stiffness there.
+    static void worst_case(double* q) { q[0] = -1e-6; }
     /// P = 2 k <I1 - 3 - limit> F
     template <class S>
     static void stress(VolumePoint<S>& p, const S* q) {
