@@ -14,9 +14,10 @@ import os
 import re
 import shlex
 import sys
+import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO, TypeVar
@@ -172,12 +173,6 @@ def run(
     options = _parse(options_type, program, argv)
     if isinstance(options, int):
         return options
-    for name, least, most in (("workers", 1, 4096), ("seed", 0, (1 << 64) - 1)):
-        value = getattr(options, name, None)
-        if value is not None and not least <= value <= most:
-            more = f", at most {most}" if value > most else ""
-            sys.stderr.write(f"{program}: --{name}: got {value}; expected {least} or more{more}\n")
-            return AT_FAULT
     console = Console(sys.stderr)
     answer, code = _guarded(action, options, console, program)
     if answer is None:
@@ -205,19 +200,58 @@ def _with_plugin(line: str, options: CommonOptions) -> str:
     return f"{line} --plugin {shlex.quote(str(options.plugin))}" if given else line
 
 
+# Threads of one process take turns: folders are held, and libraries are limited, for all of them.
+_TURN = threading.RLock()
+
+
+def check_counts(options: CommonOptions) -> None:
+    """Raises OptionError for numbers that many commands take and that are out of their range."""
+    for name, least, most in (("workers", 1, 4096), ("seed", 0, (1 << 64) - 1)):
+        value = getattr(options, name, None)
+        if value is not None and not least <= value <= most:
+            more = f", at most {most}" if value > most else ""
+            raise OptionError(f"--{name}: got {value}; expected {least} or more{more}")
+
+
+@contextlib.contextmanager
+def working(options: CommonOptions) -> Iterator[None]:
+    """What every action runs in: its options checked, its plugin run, its folders held until it ends.
+
+    Simulations have the cores: threads of the linear algebra that wait for work slow them down, and its last
+    digits would depend on how many there are.
+    """
+    check_counts(options)
+    with _TURN, held(), threadpool_limits(1, user_api="blas"):
+        if options.plugin is not None:
+            load_plugin(options.plugin)
+        going_on = _resumed_in(options)
+        if going_on is not None and going_on.is_dir():
+            hold(going_on)
+        yield
+
+
+def told(error: Exception) -> tuple[str, int]:
+    """The one line that an error ends in, and its exit code."""
+    # numpy's LinAlgError is a ValueError that no input explains.
+    at_fault = isinstance(error, (ValueError, FileNotFoundError)) and not isinstance(
+        error, np.linalg.LinAlgError
+    )
+    message = one_line(str(error)) or type(error).__name__
+    if isinstance(error, OSError) and error.filename is not None:
+        at_fault = error.errno in _NO_PLACE
+        where = one_line(str(error.filename2 or error.filename))
+        message = f"{where}: {error.strerror}; expected a place to read and write"
+    if isinstance(error, (KeyError, AttributeError, TypeError, IndexError)):
+        message = f"unexpected {type(error).__name__}: {message} (set {TRACEBACK_VARIABLE}=1 to see where)"
+    return message, AT_FAULT if at_fault else FAILED
+
+
 def _guarded(
     action: Callable[[OptionsType, Console], Answer], options: OptionsType, console: Console, program: str
 ) -> tuple[Answer | None, int]:
     try:
-        # Simulations have the cores: threads of the linear algebra that wait for work slow them down, and its
-        # last digits would depend on how many there are. Whatever a library prints must not reach the
-        # answer's stream.
-        with held(), threadpool_limits(1, user_api="blas"), contextlib.redirect_stdout(sys.stderr):
-            if options.plugin is not None:
-                load_plugin(options.plugin)
-            going_on = _resumed_in(options)
-            if going_on is not None and going_on.is_dir():
-                hold(going_on)
+        # Whatever a library prints must not reach the answer's stream.
+        with contextlib.redirect_stdout(sys.stderr), working(options):
             return action(options, console), DONE
     except KeyboardInterrupt:
         hint = f"; continue with: {_with_plugin(console.resume, options)}" if console.resume else ""
@@ -226,18 +260,6 @@ def _guarded(
     except Exception as error:  # every error ends in one line and its exit code
         if os.environ.get(TRACEBACK_VARIABLE):
             console.say(traceback.format_exc())
-        # numpy's LinAlgError is a ValueError that no input explains.
-        at_fault = isinstance(error, (ValueError, FileNotFoundError)) and not isinstance(
-            error, np.linalg.LinAlgError
-        )
-        message = one_line(str(error)) or type(error).__name__
-        if isinstance(error, OSError) and error.filename is not None:
-            at_fault = error.errno in _NO_PLACE
-            where = one_line(str(error.filename2 or error.filename))
-            message = f"{where}: {error.strerror}; expected a place to read and write"
-        if isinstance(error, (KeyError, AttributeError, TypeError, IndexError)):
-            message = (
-                f"unexpected {type(error).__name__}: {message} (set {TRACEBACK_VARIABLE}=1 to see where)"
-            )
+        message, code = told(error)
         console.say(f"{program}: {message}")
-        return None, AT_FAULT if at_fault else FAILED
+        return None, code

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from matplotlib.figure import Figure
 
+from mphygs.capture.format import Capture
 from mphygs.capture.written import replace_file
 from mphygs.claim import PICTURES, claim_output, kept_inside
 from mphygs.command import Answer, CommonOptions, Console, check_gain, names, plain, run
@@ -55,7 +57,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(CompareOptions, compare, program=PROGRAM, argv=argv)
 
 
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Predictions held against their measurements. document: the JSON of it; compared: by sequence."""
+
+    document: dict[str, object]
+    experiment: Experiment
+    compared: Mapping[str, Compared]
+
+
 def compare(options: CompareOptions, console: Console) -> Answer:
+    """What was found, as an answer."""
+    document = held_against(options, console).document
+    return Answer(document, _text(document))
+
+
+def held_against(options: CompareOptions, console: Console) -> Held:
     """Predict, hold against the measurement, draw; the finding is kept in the run folder."""
     check_gain(options.feedback)
     state = load_run(options.run)
@@ -89,7 +106,7 @@ def compare(options: CompareOptions, console: Console) -> Answer:
     document["warnings"] = doubted_sigma(compared)
     if options.capture is None and options.sequences is None:
         replace_file(state.folder / DOCUMENT, json.dumps(plain(document), indent=1) + "\n")
-    return Answer(document, _text(document))
+    return Held(document, experiment, compared)
 
 
 def comparison_document(
@@ -110,19 +127,22 @@ def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path)
     """One picture per sequence."""
     paths = []
     for name, item in compared.items():
-        recording = experiment.capture.sequence(name)
-        parts = [part.name for part in experiment.capture.parts]
-        figure = sequence_figure(
-            item,
-            name=name,
-            fps=recording.fps,
-            at=recording.markers.at,
-            parts=parts,
-            labels=recording.markers.names,
-        )
         paths.append(folder / f"{name}.png")
-        save_figure(figure, paths[-1])
+        save_figure(picture_of(experiment.capture, name, item), paths[-1])
     return paths
+
+
+def picture_of(capture: Capture, name: str, compared: Compared) -> Figure:
+    """The picture of one sequence of a capture."""
+    recording = capture.sequence(name)
+    return sequence_figure(
+        compared,
+        name=name,
+        fps=recording.fps,
+        at=recording.markers.at,
+        parts=[part.name for part in capture.parts],
+        labels=recording.markers.names,
+    )
 
 
 def _text(document: Mapping[str, object]) -> str:
