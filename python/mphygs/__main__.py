@@ -22,6 +22,7 @@ COMMANDS = {
     "register": ("mphygs.register", "where the object at rest is in frame 0 of its videos"),
     "track": ("mphygs.track", "points of the object followed through its videos"),
     "contact": ("mphygs.contact", "what a hand holds, and how it moves"),
+    "init": ("mphygs.init", "a capture.json for a folder of files"),
     "doctor": ("mphygs.doctor", "checks of a capture before a fit"),
     "synth": ("mphygs.synth.__main__", "a capture with known truth"),
 }
