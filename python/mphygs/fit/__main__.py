@@ -32,12 +32,14 @@ from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parame
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.in_use import hold
 from mphygs.model.registry import USUAL_LAW, effects, laws
+from mphygs.model.substances import SUBSTANCES, like
 from mphygs.simulate.settings import Settings, available_cores, check_effects
 from mphygs.simulate.timeline import MOST_SUBSTEPS
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
 Law = Literal[laws()]
+Preset = Literal[tuple(s.name for s in SUBSTANCES)]
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
 
@@ -67,6 +69,9 @@ class FitOptions(CommonOptions):
     """How the rest shape carries gravity; default: as the capture says."""
     law: Law = USUAL_LAW
     """Law of elasticity."""
+    preset: Preset | None = None
+    """What the object is made of, about: where stiffness and density start, and what stiffness is expected
+    to be."""
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
     """Of the fast schedule: Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, slower for so few
     unknowns."""
@@ -200,9 +205,11 @@ def _answer(
     more = {} if state.stages is None else {"stages": kept_seconds(state.stages)}
     if starts := starts_document(experiment.capture, state.belief):
         more["starts"] = starts
+    parameters = parameters_of(state, found)
     return more | {
         "run": str(state.folder),
-        "parameters": parameters_of(state, found),
+        "parameters": parameters,
+        "like": {key: like(e["value"]) for key, e in parameters.items() if key.endswith(".youngs_modulus")},
         "seconds": sum(stage.seconds for stage in state.history),
         "substeps": problem.evaluate(state.belief, jacobian=False).substeps,
         "substep": substep,
@@ -230,6 +237,9 @@ def _text(state: Run, capture: Capture, embedded: bool) -> str:
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
     if answer.get("feedback"):
         lines += feedback_lines(answer["feedback"])
+    if answer.get("like"):
+        told = [f"{key.rsplit('.', 1)[0]} {words}" for key, words in answer["like"].items()]
+        lines[1:1] = ["by its stiffness: " + ", ".join(told)]
     if state.stages is not None:
         lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
         lines[1:1] = _boundary_lines(capture)
@@ -306,7 +316,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         raise OptionError(f"{name}: {path} has markers; expected a capture in pictures")
     settings = Settings(spacing=options.spacing or default_spacing(capture), transfer=options.transfer)
     wanted = names(options.sequences)
-    belief = starting_belief(capture, prestress=options.prestress, law=options.law)
+    belief = starting_belief(capture, prestress=options.prestress, law=options.law, preset=options.preset)
     if stages is not None:
         belief = pictured_belief(
             belief, stages, without=names(options.without), homogeneous=options.homogeneous

@@ -10,6 +10,7 @@ from mphygs.capture.format import Capture
 from mphygs.fit.first_frames import start_parameters
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW, material_effects
+from mphygs.model.substances import substance
 
 # Soft tissue and plants to hard rubber; a prior this wide moves no number that the data determine.
 YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD = 1e5, 2.5
@@ -24,19 +25,29 @@ RELEASE_FRAMES = 2.0
 
 
 def starting_belief(
-    capture: Capture, *, effects: tuple[str, ...] = (), prestress: str | None = None, law: str = USUAL_LAW
+    capture: Capture,
+    *,
+    effects: tuple[str, ...] = (),
+    prestress: str | None = None,
+    law: str = USUAL_LAW,
+    preset: str | None = None,
 ) -> Belief:
     """Materials of every part, free where the capture does not know them, how motions begin that do not begin
     at rest, and the named effects.
 
-    prestress: off, paper or equilibrium; None takes equilibrium for a capture whose rest says so.
+    prestress: off, paper or equilibrium; None takes equilibrium for a capture whose rest says so; preset:
+    name of a substance whose usual stiffness and density it starts from and its priors are about.
     Raises ValueError for a capture without parts, or with a measured start that its markers do not show.
     """
     if not capture.parts:
         raise ValueError(f"capture '{capture.name}': expected parts given as meshes")
     known = capture.known
     volume = {part.name: part.volume for part in capture.parts}
-    guess = DEFAULT_DENSITY
+    own = None if preset is None else substance(preset)
+    stiffness, spread = YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD
+    if own is not None:
+        stiffness, spread = own.median, own.spread
+    guess = DEFAULT_DENSITY if own is None else own.density
     if known.density:
         guess = float(np.mean(list(known.density.values())))
     if known.mass is not None:
@@ -56,13 +67,13 @@ def starting_belief(
         parameters += [
             Parameter(
                 f"{part.name}.youngs_modulus",
-                YOUNGS_MODULUS_MEDIAN,
+                stiffness,
                 "Pa",
                 1e2,
                 1e9,
                 log=True,
-                prior_mean=math.log(YOUNGS_MODULUS_MEDIAN),
-                prior_std=YOUNGS_MODULUS_SPREAD,
+                prior_mean=math.log(stiffness),
+                prior_std=spread,
             ),
             Parameter(
                 f"{part.name}.density",
