@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -85,6 +85,9 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
             rest = without_faults(position[:, held] - true, times, true)
             what = "markers on what is held"
     sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
+    own = None if markers.scatter is None else markers.each / sigma
+    if own is not None and rest is not None:
+        rest = rest / (own if rest.shape[1] == len(own) else own[held])[:, None]
     if rest is None or rest.shape[1] == 0:
         noise = NoiseModel.white(sigma, "stated sigma, taken as white")
     else:
@@ -100,6 +103,9 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 common_correlation=noise.common_correlation,
                 scale_degrees=noise.scale_degrees,
             )
+    if own is not None:
+        source = f"{noise.source}; each marker's own share as the tracks show"
+        noise = replace(noise, sigma=noise.sigma * own, source=source)
     return Observation(position, noise, np.ones(position.shape[1]))
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
+from mphygs.capture.track_faults.tracks import Finding
 from mphygs.compare.assess import Compared
 from mphygs.compare.noise import Observation
 from mphygs.compare.roughness import doubted_sigma
@@ -24,6 +26,7 @@ from mphygs.extend.readmit import readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.refits import refits_of
+from mphygs.extend.seen_faults import fault_lines, fault_names, seen_faults
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
@@ -273,18 +276,25 @@ def discover(
             coarser = screening_spacing(experiment.capture)
             steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
         steps[-1] = narrowed(experiment, steps[-1], report)
-    return _conclude(steps, rankings, warnings, final=final)
+    return _conclude(steps, rankings, warnings, seen_faults(experiment), final=final)
 
 
 def _conclude(
-    steps: list[Step], rankings: list[Ranking], warnings: list[str], *, final: bool = True
+    steps: list[Step],
+    rankings: list[Ranking],
+    warnings: list[str],
+    faults: Mapping[str, Sequence[Finding]] = MappingProxyType({}),
+    *,
+    final: bool = True,
 ) -> Discovery:
-    """What the steps come to; final: with what is to be said of the last one."""
+    """What the steps come to; faults: that the measurement showed by itself; final: with what is to be said
+    of the last one."""
     last = steps[-1]
     added: list[str] = []
     for step in steps:
         added += [name for name in step.added if name not in added]
         added = [name for name in added if name not in step.dropped]
+    added += [name for name in fault_names(faults) if name not in added]
     if not last.explained:
         verdict, added = "unknown", []
     elif not added:
@@ -294,7 +304,8 @@ def _conclude(
     told = [text for step in steps for text in step.warnings]
     if not final:
         return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))
-    came = [
+    came = fault_lines(faults)
+    came += [
         f"{term.name}: acts since the first frame; the published shape does not bear it"
         for term in last.belief.terms
         if term.name in added and term.settings.get("at_rest") is False and "sequences" not in term.settings
