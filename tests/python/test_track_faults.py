@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from capture_example import Example, write_c3d
+from mphygs.capture.track_faults import marker_survey
 from mphygs.capture.track_faults.examined import CHECKS, examined
 from mphygs.capture.track_faults.noise_level import quantum
 from mphygs.capture.track_faults.scatter import scatter
 from mphygs.capture.track_faults.tracks import Tracks
+from mphygs.compare.noise import _with_offset
+from mphygs.compare.whitening import NoiseModel
 from mphygs.model.registry import faults
 
 SIGMA, FRAMES, FPS = 2e-4, 48, 60.0
@@ -180,6 +184,52 @@ def test_tracks_that_are_lost_and_single_bad_values_are_no_noise() -> None:
     bad = tracks.position.copy()
     bad[random.random(bad.shape[:2]) < 0.02] += 0.01
     assert seen(bad, tracks).scatter is None
+
+
+def resting(seed: int) -> Tracks:
+    """The bar, at rest for two frames before it moves."""
+    tracks = moving(seed)
+    position = np.concatenate([np.tile(tracks.at, (2, 1, 1)), tracks.position[2:]])
+    position[:2] += SIGMA * np.random.default_rng(600 + seed).standard_normal((2, 30, 3))
+    return Tracks(position[:FRAMES], tracks.at, SIGMA, release=2)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_places_surveyed_wrongly_are_found_where_they_rest(seed: int) -> None:
+    clean = resting(seed)
+    assert marker_survey.check(clean) is clean
+    error = 6e-4 * np.random.default_rng(500 + seed).standard_normal(clean.at.shape)
+    found = marker_survey.check(replace(clean, at=clean.at + error))
+    assert only(found, "marker_survey")["sigma"] == pytest.approx(6e-4, rel=0.3)
+    left = np.sqrt(np.mean((found.at - clean.at) ** 2))
+    assert left == pytest.approx(SIGMA / np.sqrt(2.0), rel=0.35)
+    assert found.lasting == pytest.approx(left, rel=0.35)
+
+
+def test_what_is_smooth_at_rest_or_one_marker_s_is_no_survey() -> None:
+    clean = resting(1)
+    bent = clean.position.copy()
+    bent[..., 2] -= 0.01 * ((clean.at[:, 0] - 0.05) / 0.1) ** 2
+    scaled = 1.03 * clean.position
+    one = clean.position.copy()
+    one[:, 4] += 4e-3
+    for position in (bent, scaled, one):
+        assert marker_survey.check(replace(clean, position=position)).findings == ()
+    error = 6e-4 * np.random.default_rng(7).standard_normal(clean.at.shape)
+    unrested = replace(clean, at=clean.at + error, begins="measured")
+    assert marker_survey.check(unrested) is unrested
+
+
+def test_places_that_are_not_known_are_noise_that_stays() -> None:
+    noise = _with_offset(NoiseModel.white(2e-4, "stated"), 1.5e-4)
+    assert noise.sigma == pytest.approx(2.5e-4)
+    random = np.random.default_rng(8)
+    drawn = 2e-4 * random.standard_normal((40, 200, 3)) + 1.5e-4 * random.standard_normal((200, 3))
+    whitened = noise.whiten(drawn, np.ones((40, 200), bool))
+    assert np.mean(whitened**2) == pytest.approx(1.0, abs=0.05)
+    # A shift of one marker is worth its 40 frames no more, but what its place is known to.
+    shift = noise.whiten(np.ones((40, 1, 3)), np.ones((40, 1), bool))
+    assert (shift**2).sum() / 3.0 == pytest.approx(1.0 / (1.5e-4**2 + 2e-4**2 / 40), rel=0.15)
 
 
 def test_a_c3d_is_put_right_in_the_object_s_frame(tmp_path: Path) -> None:

@@ -29,7 +29,8 @@ class Markers:
     position: (T, M, 3) [m], NaN where not measured; at: (M, 3) [m], the markers at rest; sigma: [m], one
     standard deviation of the noise per coordinate, as stated or as the tracks show; names: M labels, or none;
     findings: faults that were noticed in the file and put right; scatter: (M,) [m], each one's own standard
-    deviation where the tracks show that they differ.
+    deviation where the tracks show that they differ; offset: [m] of a coordinate of what is not known of the
+    markers' places, a constant of each.
     Of tracks from video also spread: (M,) [m], each one's own standard deviation as stated; memory: what of
     a track's lasting error is carried to the next frame; lasting: that error's share of the variance, the
     rest is new in every frame.
@@ -41,6 +42,7 @@ class Markers:
     names: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     scatter: np.ndarray | None = None
+    offset: float = 0.0
     spread: np.ndarray | None = None
     memory: float = 0.0
     lasting: float = 1.0
@@ -112,7 +114,7 @@ def read_markers(
         position = read_arrays(path, {"position": shape})["position"]
         if first is not None:
             position = _from_frame(path, position, first, frames)
-        tracks = examined(Tracks(position, at, sigma, release, zeros))
+        tracks = examined(Tracks(position, at, sigma, release, zeros, begins=start))
     elif suffix == ".c3d":
         if start == "measured":
             what = f"{path.name} is told in the object frame by its rest, which the sequence does not show"
@@ -123,7 +125,7 @@ def read_markers(
         _check_count(path, position, at)
         names = names or labels
         # Zeros are seen in the file's own frame, the others in the object's.
-        tracks = zero_gaps.check(Tracks(position, at, sigma, release, zeros))
+        tracks = zero_gaps.check(Tracks(position, at, sigma, release, zeros, begins=start))
         aligned = _to_object_frame(path, tracks.position, at, release)
         tracks = examined(replace(tracks, position=aligned, zero_is_missing=False, raw=position))
         if any(finding.fault == label_swaps.FAULT for finding in tracks.findings):
@@ -135,11 +137,12 @@ def read_markers(
         raise fault(f"{path}: position", "is NaN everywhere", "measured positions")
     return Markers(
         position=tracks.position,
-        at=at,
+        at=tracks.at,
         sigma=tracks.sigma,
         names=names,
         findings=tracks.findings,
         scatter=tracks.scatter,
+        offset=tracks.lasting,
     )
 
 

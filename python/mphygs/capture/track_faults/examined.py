@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mphygs.capture.track_faults import frame_drops, label_swaps, noise_level, zero_gaps
+from mphygs.capture.track_faults import frame_drops, label_swaps, marker_survey, noise_level, zero_gaps
 from mphygs.capture.track_faults.tracks import Tracks
 
 BEYOND = 1e6  # [m]
-CHECKS = (zero_gaps, label_swaps, frame_drops, noise_level)
+CHECKS = (zero_gaps, label_swaps, frame_drops, noise_level, marker_survey)
 
 
 def examined(tracks: Tracks) -> Tracks:

@@ -23,7 +23,8 @@ class Tracks:
     a coordinate [m], as stated; release: all points rest until this frame, None where none is stated;
     zero_is_missing: as the capture says, None where it does not; raw: the file's own numbers [m], where they
     were turned since; scatter: (M,) [m], each marker's own standard
-    deviation where they differ; findings: so far."""
+    deviation where they differ; findings: so far; begins: as the sequence states
+    its start, None where it does not; lasting: [m] of a coordinate of each marker's own constant error."""
 
     position: np.ndarray
     at: np.ndarray
@@ -33,6 +34,8 @@ class Tracks:
     raw: np.ndarray | None = None
     scatter: np.ndarray | None = None
     findings: tuple[Finding, ...] = ()
+    begins: str | None = None
+    lasting: float = 0.0
 
     @property
     def seen(self) -> np.ndarray:
