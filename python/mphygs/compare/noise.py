@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from mphygs.simulate.body import Attachment
 
 # Without a stated sigma and without rest footage: what good marker systems reach.
 DEFAULT_SIGMA = 2e-4
+# Of an error that stays, what is carried from frame to frame.
+STAYS = 0.995
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,9 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
             rest = without_faults(position[:, held] - true, times, true)
             what = "markers on what is held"
     sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
+    own = None if markers.scatter is None else markers.each / sigma
+    if own is not None and rest is not None:
+        rest = rest / (own if rest.shape[1] == len(own) else own[held])[:, None]
     if rest is None or rest.shape[1] == 0:
         noise = NoiseModel.white(sigma, "stated sigma, taken as white")
     else:
@@ -100,7 +105,23 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 common_correlation=noise.common_correlation,
                 scale_degrees=noise.scale_degrees,
             )
+    if own is not None:
+        source = f"{noise.source}; each marker's own share as the tracks show"
+        noise = replace(noise, sigma=noise.sigma * own, source=source)
+    if markers.offset:
+        noise = _with_offset(noise, markers.offset)
     return Observation(position, noise, np.ones(position.shape[1]))
+
+
+def _with_offset(noise: NoiseModel, offset: float) -> NoiseModel:
+    """The noise with a constant error of each marker's place [m] beside it, as one that all but stays."""
+    variance = noise.sigma**2 + offset**2
+    lasts = noise.correlation if noise.correlated_share.any() else Autoregression((STAYS,))
+    share = (noise.correlated_share * noise.sigma**2 + offset**2) / variance
+    source = f"{noise.source}; places of the markers known to {1e3 * offset:.2g} mm"
+    return replace(
+        noise, sigma=np.sqrt(variance), correlated_share=share, correlation=lasts, source=source
+    )
 
 
 def without_faults(rest: np.ndarray, times: np.ndarray, position: np.ndarray) -> np.ndarray:

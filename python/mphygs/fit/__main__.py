@@ -139,8 +139,8 @@ def fitted(
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
     for recording in capture.sequences:
-        for note in () if recording.markers is None else recording.markers.notes:
-            console.say(f"{recording.name}: {note}")
+        for finding in () if recording.markers is None else recording.markers.findings:
+            console.say(f"{recording.name}: {finding.text}")
     console.begin()
     if state.options.get("homogeneous"):
         from mphygs.baselines.homogeneous import fit_homogeneous

@@ -109,7 +109,7 @@ def _still(recording: Recording) -> bool:
     if recording.held:
         rotation, shift = recording.held[0].poses(times, recording.fps)
         position = (position - shift[:, None]) @ rotation
-    spread = np.full(len(markers.at), markers.sigma) if markers.spread is None else markers.spread
+    spread = markers.each
     squares = ((position - markers.at) / spread[:, None]) ** 2
     seen = np.isfinite(squares)
     return bool(np.sum(squares[seen]) < chi2.isf(LEVEL, max(int(seen.sum()), 1)))
@@ -224,8 +224,7 @@ class _Markers:
             rotation, shift = recording.held[0].poses(times, recording.fps)
             position = (position - shift[:, None]) @ rotation
         self.displaced = position[:, used] - self.rest
-        spread = np.full(len(markers.at), markers.sigma) if markers.spread is None else markers.spread
-        self.sigma = spread[used]
+        self.sigma = markers.each[used]
         self.columns = np.stack([self._of(s).ravel() for s in np.moveaxis(self.shapes.shape, 2, 0)], axis=1)
 
     def returns(self) -> bool:

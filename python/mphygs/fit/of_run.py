@@ -144,7 +144,8 @@ def errors_of(experiment: Experiment, compared: Mapping[str, Compared]) -> dict[
     sigmas = {}
     for name, item in compared.items():
         markers = experiment.capture.sequence(name).markers
-        sigmas[name] = markers.sigma if markers is not None and markers.sigma else item.observation.sigma
+        stated = markers is not None and markers.sigma
+        sigmas[name] = float(np.hypot(markers.sigma, markers.offset)) if stated else item.observation.sigma
     return sequence_errors(compared, sigmas)
 
 
