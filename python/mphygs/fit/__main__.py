@@ -20,6 +20,7 @@ from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_document, starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
+from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.of_run import capture_of, errors_of, feedback_document, pictured_of
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
@@ -296,7 +297,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         capture = load_capture(path)
     else:
         path = options.capture
-        capture = load_capture(path)
+        capture = well_labelled(load_capture(path))
         out = out or RUNS / folder_name(capture.name)
         claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))
