@@ -171,7 +171,7 @@ def test_compare_and_report_tell_of_pictures(fitted: dict) -> None:
     code, out, _ = call(compare.main, fitted["run"], "--workers", 1)
     assert code == 0 and "PSNR dB" in out and "frog.mp4" in out
     page = Path(answer(report.main, fitted["run"], "--workers", 1)["report"]).read_text()
-    assert "PSNR dB" in page and "frog, video beside prediction" in page
+    assert "PSNR dB" in page and "frog: video | rendering" in page
 
 
 @pytest.mark.slow

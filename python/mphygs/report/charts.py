@@ -49,8 +49,8 @@ def fall_chart(
                     "x": [k for k, _ in known],
                     "y": [e["rms_over_sigma"] for _, e in known],
                     "customdata": [[1e3 * e["rms"], e["count"], escape(titles[k])] for k, e in known],
-                    "hovertemplate": "%{customdata[2]}<br>%{y:.2f} times the noise, %{customdata[0]:.3f} mm rms"
-                    "<br>%{customdata[1]} points",
+                    "hovertemplate": "%{customdata[2]}<br>%{y:.2f} times the noise, "
+                    "%{customdata[0]:.3f} mm rms<br>%{customdata[1]} points",
                     "marker": {"symbol": SYMBOLS[number % len(SYMBOLS)], "size": 10, "color": colour},
                     "line": {"dash": dash, "width": 2.5, "color": colour},
                 }
@@ -124,7 +124,8 @@ def ranking_chart(rows: Sequence[Mapping[str, object]], chosen: Sequence[str]) -
     """Bars by candidate, the best at the top; hatched: struck off. chosen: effects concluded."""
     shown = [row for row in rows if row["gain"] is not None][:RANKED][::-1]
     bars = [max(float(row["gain"]), 0.0) for row in shown]
-    wide = bars and max(bars) > 50.0 * max(min((b for b in bars if b > 0), default=1.0), 1e-9)
+    falls = [*bars, *(float(row["refitted"]) for row in shown if row["refitted"] is not None)]
+    wide = bool(falls) and max(falls) > 50.0 * max(min((f for f in falls if f > 0), default=1.0), 1e-9)
     trace = {
         "type": "bar",
         "orientation": "h",
@@ -260,9 +261,9 @@ def correlation_chart(keys: Sequence[str], correlation: np.ndarray) -> dict[str,
 def budget_chart(budget: Mapping[str, float]) -> dict[str, object]:
     """One bar: shares of the mean square error. budget: root mean squares [m]."""
     words = {
-        "noise": ("noise", "$quiet", ""),
-        "discretisation": ("grid", "$grid", "."),
-        "physics": ("model", "$unseen", "/"),
+        "noise": ("noise", "$quiet"),
+        "discretisation": ("grid", "$grid"),
+        "physics": ("model", "$unseen"),
     }
     total = max(sum(share**2 for share in budget.values()), 1e-30)
     traces = [
@@ -272,10 +273,10 @@ def budget_chart(budget: Mapping[str, float]) -> dict[str, object]:
             "name": words[key][0],
             "y": [""],
             "x": [100.0 * share**2 / total],
-            "marker": {"color": words[key][1], "pattern": {"shape": words[key][2], "fgcolor": "$paper"}},
+            "marker": {"color": words[key][1]},
             "customdata": [[1e3 * share]],
-            "hovertemplate": f"{words[key][0]}: %{{x:.1f}} % of the mean square, %{{customdata[0]:.3f}} mm rms"
-            "<extra></extra>",
+            "hovertemplate": f"{words[key][0]}: %{{x:.1f}} % of the mean square, "
+            "%{customdata[0]:.3f} mm rms<extra></extra>",
         }
         for key, share in budget.items()
     ]

@@ -71,5 +71,7 @@ def wipe(identifier: str, name: str) -> str:
     """The place of a video beside its rendering. name: of the sequence, escaped."""
     return f"""<h3>{name}</h3><div id="{identifier}">
 <div class="wipe"><img alt="video"><img alt="rendering"><div class="edge"></div></div>
-<div class="controls"><label>video | rendering <input data-role="edge" type="range" min="0" max="100" value="50"></label>
-<label>frame <input data-role="time" type="range" min="0" value="0"></label> <span data-role="label"></span></div></div>"""
+<div class="controls">
+<label>video | rendering <input data-role="edge" type="range" min="0" max="100" value="50"></label>
+<label>frame <input data-role="time" type="range" min="0" value="0"></label>
+<span data-role="label"></span></div></div>"""

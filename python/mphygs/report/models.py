@@ -10,12 +10,11 @@ import numpy as np
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.belief_document import belief_from_document
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.object_points import predict_points
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
-from mphygs.predict import predict_points
 from mphygs.report.motion_data import BUDGET, Force, markers_document, motion_document, skin_document
 from mphygs.report.skin import Skin, nearest_markers
-from mphygs.scene.surface import SurfaceSamples
 from mphygs.simulate.errors import SimulationError
 
 # Vertices of the object, sequences that are shown, and bytes of all of them.
@@ -51,11 +50,9 @@ def predicted_points(
     """(T, M + V, 3) [m] of the markers and the skin by a model; None where it cannot be simulated."""
     settings = replace(experiment.settings, spacing=model.spacing)
     there = replace(experiment, settings=settings)
-    zero = np.zeros(len(skin.points))
-    surface = SurfaceSamples(skin.points, zero, np.zeros_like(skin.points), skin.part)
     known = there.with_release(model.belief, recording.name, model.spacing)
     try:
-        return predict_points(there, known, recording, surface)[0].position
+        return predict_points(there, known, recording, skin.points)[0].position
     except SimulationError:
         return None
 
@@ -70,9 +67,9 @@ def motion_of(
     force: Force | None = None,
     budget: int = BUDGET,
 ) -> tuple[dict[str, object], np.ndarray]:
-    """One sequence for the page, and (T, M) errors of the last model [m]. force, budget: see `motion_document`.
+    """One sequence for the page, and (T, M) errors of the last model [m].
 
-    Raises SimulationError where the last model cannot be simulated.
+    force, budget: see `motion_document`. Raises SimulationError where the last model cannot be simulated.
     """
     recording = experiment.capture.sequence(name)
     measured = experiment.observations[name].position
@@ -101,7 +98,7 @@ def motion_of(
 
 
 def marker_order(at: np.ndarray, owner: np.ndarray) -> list[int]:
-    """Markers by part and along the longest axis, so that neighbours stand together. at: (M, 3); owner: (M,)."""
+    """Markers by part and along the longest axis, so that neighbours stand together. at: (M, 3) [m]."""
     axis = int(np.ptp(at, axis=0).argmax()) if len(at) else 0
     return np.lexsort((at[:, axis], owner)).tolist()
 

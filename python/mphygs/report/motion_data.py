@@ -71,7 +71,7 @@ def skin_document(skin: Skin, parts: Sequence[str]) -> dict[str, object]:
 def markers_document(
     near: np.ndarray, weight: np.ndarray, labels: Sequence[str], order: Sequence[int]
 ) -> dict[str, object]:
-    """What a sequence's markers are to the skin. near, weight: see `nearest_markers`; order: to show them in."""
+    """A sequence's markers beside the skin. near, weight: see `nearest_markers`; order: to show them in."""
     return {
         "near": encoded(near, "<u2"),
         "weight": encoded(np.rint(255 * weight), "<u1"),
@@ -93,10 +93,10 @@ def motion_document(
 ) -> dict[str, object]:
     """One sequence for the page.
 
-    measured: (T, M, 3) [m]; models: label -> (T, M + V, 3) [m], its prediction of markers and, behind them, of
-    the skin; fit: frames fitted; sigma: of the noise [m]; force: frames (K,), places (K, C, 3) [m] and missing
-    force (K, C, 3) [N/kg] there; budget: bytes, kept by showing fewer frames and modes. Raises ValueError where
-    the shapes do not belong together.
+    measured: (T, M, 3) [m]; models: label -> (T, M + V, 3) [m], its prediction of markers and, behind them,
+    of the skin; fit: frames fitted; sigma: of the noise [m]; force: frames (K,), places (K, C, 3) [m] and
+    missing force (K, C, 3) [N/kg] there; budget: bytes, kept by showing fewer frames and modes. Raises
+    ValueError where the shapes do not belong together.
     """
     frames, markers = measured.shape[:2]
     for label, points in models.items():

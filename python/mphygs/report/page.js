@@ -9,12 +9,16 @@ const THEMES = {
 const PARTS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#999999"];
 const DIVERGING = { light: [[0, "#0072b2"], [0.5, "#f4f4f2"], [1, "#d55e00"]],
   dark: [[0, "#56b4e9"], [0.5, "#23282c"], [1, "#f08a3c"]] };
+// From near the paper to the ink, lightness one way all along: what is off stands out, for the colour-blind too.
+const ERRORS = { light: [[0, "#d5dce2"], [0.12, "#e9cf9c"], [0.4, "#e08214"], [0.75, "#a83a05"], [1, "#4a1203"]],
+  dark: [[0, "#4a545d"], [0.12, "#7d5a33"], [0.4, "#d0701a"], [0.75, "#f5b04a"], [1, "#fff6c2"]] };
 let printing = false;
 const redraws = [];
 
 function theme() {
   const dark = !printing && window.matchMedia("(prefers-color-scheme: dark)").matches;
-  return { name: dark ? "dark" : "light", ...THEMES[dark ? "dark" : "light"], diverging: DIVERGING[dark ? "dark" : "light"] };
+  const name = dark ? "dark" : "light";
+  return { name, ...THEMES[name], diverging: DIVERGING[name], errors: ERRORS[name] };
 }
 
 // "$name" stands for a colour of the theme.

@@ -1,4 +1,4 @@
-"""The page: the verdict first, then how the error fell, where it is, what it is made of, and what to do next."""
+"""The page: the verdict, how the error fell, where it is, what it is made of, and what to do next."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ TRADES = 0.6
 class Contents:
     """All that a page tells.
 
-    parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run; scene: see
-    `scene_document`; films: video beside rendering by sequence; commands: that made it; force: what is said of
-    the missing force, line by line; hidden: sequences that the scene has no room for.
+    parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run; scene:
+    see `scene_document`; films: video beside rendering by sequence; commands: that made it; force: what is
+    said of the missing force, line by line; hidden: sequences that the scene has no room for.
     """
 
     run: Run
@@ -135,8 +135,8 @@ def _error_rows(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]
 
 def _object(contents: Contents) -> str:
     words = (
-        "Painted is how far measured is from predicted, between markers as the nearest ones have it; the measured "
-        "shape is the predicted one carried to the markers."
+        "Painted is how far measured is from predicted, between markers as the nearest ones have it; the "
+        "measured shape is the predicted one carried to the markers."
     )
     left = f" Not shown for lack of room: {', '.join(contents.hidden)}." if contents.hidden else ""
     films = "".join(
@@ -146,7 +146,7 @@ def _object(contents: Contents) -> str:
 
 
 def _moments(contents: Contents) -> str:
-    words = "Of the sequence chosen above; a click on the map goes to its frame. The dotted line ends what was fitted."
+    words = "Of the sequence chosen above; a click goes to its frame. The dotted line ends what was fitted."
     return (
         f'<p class="quiet">{words}</p>{chart("chart-heat", "error by marker and frame")}'
         f"{chart('chart-curves', 'two markers over time')}{_when(contents.comparison)}"
@@ -310,8 +310,8 @@ def _next(contents: Contents) -> str:
     for step in told:
         if step.get("ties"):
             lines.append(
-                f"The motions recorded do not tell {', '.join(step['added'])} from {', '.join(step['ties'])}: record "
-                "one with another amplitude, frequency or direction of gravity, and fit both."
+                f"The motions recorded do not tell {', '.join(step['added'])} from {', '.join(step['ties'])}: "
+                "record one with another amplitude, frequency or direction of gravity, and fit both."
             )
     loose = [key for key, entry in contents.parameters.items() if not entry["determined"]]
     if loose:

@@ -79,7 +79,7 @@ function mphygsScene(root, Plotly, data) {
     const vector = up.map((u) => 0.42 * u);
     vector[flat[0]] -= 1.0;
     vector[flat[1] ?? flat[0]] += 0.38;
-    const gain = 1.9 / Math.hypot(...vector);
+    const gain = 1.65 / Math.hypot(...vector);
     const at = (v) => ({ x: v[0], y: v[1], z: v[2] });
     return { eye: at(vector.map((x) => gain * x)), up: at(up), center: at([0, 0, 0]) };
   }
@@ -103,7 +103,7 @@ function mphygsScene(root, Plotly, data) {
     const mesh = { type: "mesh3d", x, y, z, i: corners[0], j: corners[1], k: corners[2], name: "skin",
       text: skin.part.map((p, v) => `${skin.parts[p]}<br>${near(error[v])}`), hovertemplate: "%{text}<extra></extra>",
       lighting: { ambient: 0.55, diffuse: 0.75, specular: 0.12, roughness: 0.7, fresnel: 0.05 },
-      lightposition: { x: 2000, y: -4000, z: 6000 }, cmin: 0, cmax: motion.largest, colorscale: "Cividis",
+      lightposition: { x: 2000, y: -4000, z: 6000 }, cmin: 0, cmax: motion.largest, colorscale: colours.errors,
       intensity: Array.from(error, (e) => (Number.isFinite(e) ? e : 0)), showscale: !byPart, colorbar: bar };
     if (byPart) {
       Object.assign(mesh, { intensity: skin.part, cmin: 0, cmax: Math.max(parts - 1, 1),
@@ -113,7 +113,7 @@ function mphygsScene(root, Plotly, data) {
     const errors = Array.from({ length: M }, (_, m) => MM * model.errors[at * M + m]);
     const dots = { type: "scatter3d", mode: "markers", x: mx, y: my, z: mz, name: "markers",
       text: errors.map((e, m) => `${motion.labels[m] ?? "marker " + m}<br>${near(e)}`), hovertemplate: "%{text}<extra></extra>",
-      marker: { size: 3.4, color: shape === "measured" ? colours.unseen : colours.fitted, line: { color: colours.paper, width: 0.5 } } };
+      marker: { size: 3, color: shape === "measured" ? colours.unseen : colours.fitted, line: { color: colours.paper, width: 0.5 } } };
     const arrows = arrowTraces(at, colours);
     const span = motion.high.map((h, a) => MM * (h - motion.low[a])), longest = Math.max(...span);
     const axis = (a) => ({ range: [MM * motion.low[a], MM * motion.high[a]], title: { text: `${"xyz"[a]} mm` },

@@ -1,4 +1,4 @@
-"""The object's surface as a mesh to be painted: fine enough to bend, coarse enough to be carried in a page."""
+"""The object's surface as a mesh to be painted: fine enough to bend, coarse enough for a page."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def skin_of(parts: Sequence[Part], count: int) -> Skin:
 
 
 def _resized(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """A mesh of about count vertices: each triangle in four as often as it takes, or vertices put together."""
+    """A mesh of about count vertices: triangles cut in four as often as it takes, or vertices put together."""
     while len(vertices) < SPARSE * count:
         vertices, faces = trimesh.remesh.subdivide(vertices, faces)
     if len(vertices) <= 1.1 * count:
@@ -75,8 +75,8 @@ def nearest_markers(skin: Skin, at: np.ndarray, owner: np.ndarray) -> tuple[np.n
     """(V, K) markers that each vertex takes its error from, and the weight of each, by the inverse square of
     the distance; K is 0 without markers.
 
-    at: (M, 3) markers at rest [m]; owner: (M,) the part of each. A vertex is told by markers of its own part, by
-    those of any part where that has too few.
+    at: (M, 3) markers at rest [m]; owner: (M,) the part of each. A vertex is told by markers of its own part,
+    by those of any part where that has too few.
     """
     count = min(NEIGHBOURS, len(at))
     near, weight = np.zeros((len(skin.points), count), int), np.zeros((len(skin.points), count))
