@@ -81,7 +81,7 @@ def scene() -> str:
 
 
 def scripts(data: object, *more: str) -> str:
-    """What draws a page. data: {"charts": figures, "scene": of the object, "films"}; more: files that follow."""
+    """What draws a page. data: {"charts": figures, "scene", "films"}; more: files that follow."""
     files = ("page.js", "scene.js", "moments.js", "wipe.js", *more)
     return f"""<script type="text/plain" id="library">{library()}</script>
 <script type="application/json" id="data">{script_data(data)}</script>

@@ -70,7 +70,7 @@ def document(name: str, body: str, data: object, *more: str) -> str:
     """A page around its body. data, more: see `scripts`."""
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>mphygs: {escape(name)}</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,"><meta name="viewport" content="width=device-width, initial-scale=1">
 <style>{asset("style.css")}</style></head><body>
 <p id="failed" class="verdict" hidden>Charts cannot be drawn in this browser (it takes WebGL and
 DecompressionStream: any of 2023 or later). Tables and text are complete without them.</p>
@@ -266,9 +266,10 @@ def _trades(keys: Sequence[str], correlation: np.ndarray) -> dict[str, str]:
 def _budget(contents: Contents, figures: list) -> str:
     budget = contents.comparison["budget"]
     figures.append(charts.budget_chart(budget))
-    words = {"noise": "noise", "discretisation": "grid", "physics": "model"}
-    rows = [[words[name], 1e3 * share] for name, share in budget.items()]
-    note = '<p class="quiet">The shares add in squares. The grid\'s is what a finer one would change, less what refitting absorbs.</p>'
+    shares = {"noise": "noise", "discretisation": "grid", "physics": "model"}
+    rows = [[shares[name], 1e3 * share] for name, share in budget.items()]
+    words = "The shares add in squares; the grid's is what a finer one would change and a refit not absorb."
+    note = f'<p class="quiet">{words}</p>'
     return (
         note
         + chart("chart-budget", "shares of the error")
@@ -310,8 +311,8 @@ def _next(contents: Contents) -> str:
     for step in told:
         if step.get("ties"):
             lines.append(
-                f"The motions recorded do not tell {', '.join(step['added'])} from {', '.join(step['ties'])}: "
-                "record one with another amplitude, frequency or direction of gravity, and fit both."
+                f"The motions recorded do not tell {', '.join(step['added'])} from {', '.join(step['ties'])}"
+                ": record one with another amplitude, frequency or direction of gravity, and fit both."
             )
     loose = [key for key, entry in contents.parameters.items() if not entry["determined"]]
     if loose:

@@ -43,7 +43,7 @@ def skin_of(parts: Sequence[Part], count: int) -> Skin:
 
 
 def _resized(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """A mesh of about count vertices: triangles cut in four as often as it takes, or vertices put together."""
+    """A mesh of about count vertices: triangles cut in four as it takes, or vertices put together."""
     while len(vertices) < SPARSE * count:
         vertices, faces = trimesh.remesh.subdivide(vertices, faces)
     if len(vertices) <= 1.1 * count:
