@@ -27,6 +27,11 @@ SECTIONS = (
     "fall", "object", "moments", "ranking", "parameters", "budget", "next", "measured", "commands",
 )  # fmt: skip
 LARGEST_PAGE = 5_000_000
+# A candidate as a diagnosis tells it.
+DRAG = {
+    "effect": "air_drag", "kind": "smooth", "statistic": 120.0, "p_value": 1e-9, "estimate": {"c_d": 1.2},
+    "std": {"c_d": 0.1}, "confounded_with": ["wind"], "reason": "", "refitted": 90.0, "detectable": {"c_d": 0.3},
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +144,7 @@ def with_force(reported: Path) -> Path:
     found = Unexplained(missing, (sample,), explained, ("bar",))
     keep_missing_force(found, folder)
     diagnosis = {
-        "verdict": "unknown", "effects": [], "ranking": [], "missing_force": found.document(), "advice": "",
+        "verdict": "unknown", "effects": [], "ranking": [DRAG], "missing_force": found.document(), "advice": "",
     }  # fmt: skip
     (folder / "diagnosis.json").write_text(json.dumps(plain(diagnosis)))
     out = folder / "force.html"
@@ -156,6 +161,16 @@ def test_missing_force_is_told_with_readings_and_formula(with_force: Path) -> No
         assert words in section, words
     assert text.count('"arrows":') == 1, "of one of the two sequences"
     assert '"arrow_count": 2' in text
+
+
+def test_a_bar_tells_its_candidate(with_force: Path) -> None:
+    with opened(with_force.as_uri()) as page:
+        page.locator("#chart-ranking").scroll_into_view_if_needed()
+        box = page.locator("#chart-ranking .barlayer .point path").first.bounding_box()
+        page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+        told = page.locator("#chart-ranking .hoverlayer").text_content()
+        for words in ("air_drag: 120", "c_d = 1.2 ± 0.1", "not told apart from wind"):
+            assert words in told, told
 
 
 def test_browser_draws_the_missing_force_over_time(with_force: Path) -> None:

@@ -46,21 +46,29 @@ def diagnosis() -> dict:
 
 def test_ranking_takes_what_the_run_tells() -> None:
     plain = ranking_rows(diagnosis())
-    assert [row["gain"] for row in plain] == [900.0, 3.0] and plain[0]["error"] is None
+    assert [row["predicted"] for row in plain] == [900.0, 3.0] and plain[0]["gain"] is None
     chart = ranking_chart(plain, ["viscosity"])
     bars, refits = chart["data"]
-    assert bars["y"] == ["fibre", "viscosity"] and refits["x"] == [950.0] and "error_x" not in bars
+    assert bars["y"] == ["fibre", "viscosity"] and refits["x"] == [950.0] and "xaxis2" not in chart["layout"]
     assert bars["marker"]["pattern"]["shape"] == ["/", ""] and chart["layout"]["xaxis"]["type"] == "log"
     assert "eta = 60 ± 2" in bars["customdata"][1][0] and "struck off: absorbed" in bars["customdata"][0][0]
     rich = diagnosis() | {
-        "table": [{"effect": "viscosity", "gain": 40.0, "gain_se": 5.0, "struck": None},
-                  {"effect": "wind", "gain": 1.0, "gain_se": 2.0, "struck": "does not pay"}]
+        "table": [
+            {"effect": "viscosity", "predicted_drop": 900.0, "drop": 960.0, "gain": 40.0, "gain_se": 5.0,
+             "numbers": 1, "struck": None},
+            {"effect": "wind", "predicted_drop": 20.0, "drop": None, "gain": None, "gain_se": None,
+             "numbers": 3, "struck": "promises too little to be refitted"},
+        ]
     }  # fmt: skip
     rows = ranking_rows(rich)
-    assert [(r["effect"], r["gain"], r["error"], r["struck"]) for r in rows] == [
-        ("viscosity", 40.0, 5.0, ""), ("fibre", 3.0, None, "absorbed"), ("wind", 1.0, 2.0, "does not pay"),
+    assert [(r["effect"], r["drop"], r["gain"], r["error"]) for r in rows] == [
+        ("viscosity", 960.0, 40.0, 5.0), ("wind", None, None, None), ("fibre", None, None, None),
     ]  # fmt: skip
-    assert ranking_chart(rows, [])["data"][0]["error_x"]["array"] == [2.0, 0.0, 5.0]
+    assert [r["struck"] for r in rows] == ["", "promises too little to be refitted", "absorbed"]
+    bars, refits, gains = ranking_chart(rows, [])["data"]
+    assert refits["x"] == [960.0] and gains["x"] == [None, None, 40.0] and gains["xaxis"] == "x2"
+    assert gains["error_x"]["array"] == [0.0, 0.0, 5.0]
+    assert "gain on unseen frames 40 ± 5" in bars["customdata"][2][0]
 
 
 def test_intervals_and_correlations_are_those_of_the_covariance() -> None:

@@ -22,10 +22,11 @@ from mphygs.extend.__main__ import DOCUMENT as STEPS
 from mphygs.fit.of_run import chosen_names, experiment_of, pictured_of
 from mphygs.fit.run import Run, load_run
 from mphygs.fit.tables import parameters_of
+from mphygs.report.contents import Contents
 from mphygs.report.filmed import BUDGET as FILMED
 from mphygs.report.filmed import Filmed
 from mphygs.report.models import SEQUENCES, TOTAL, VERTICES, models_of, motion_of, scene_document
-from mphygs.report.page import Contents, page
+from mphygs.report.page import page
 from mphygs.report.skin import skin_of
 
 PROGRAM = "mphygs report"

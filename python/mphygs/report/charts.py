@@ -91,28 +91,26 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def ranking_rows(diagnosis: Mapping[str, object]) -> list[dict[str, object]]:
-    """Candidates of a diagnosis, the best first: effect, gain and its standard error (None where it is not
-    told), the fall after a refit (None), why it was struck off (""), and what stands beside it."""
+    """Candidates of a diagnosis, the best first.
+
+    predicted: fall of chi^2 by the derivative, drop: once refitted; gain: in likelihood on unseen frames,
+    error: its standard error; numbers: spent; struck: why, "" where it was not; None for what is not told.
+    """
+    ranked = {str(entry["effect"]): entry for entry in diagnosis["ranking"]}
     told = {str(row["effect"]): row for row in diagnosis.get("table") or ()}
-    rows = []
-    for entry in diagnosis["ranking"]:
-        row = {**entry, **told.pop(str(entry["effect"]), {})}
-        rows.append(_row(row))
-    return rows + [_row(row) for row in told.values()]
+    return [_row({**ranked.get(name, {}), **told.get(name, {})}) for name in dict.fromkeys((*told, *ranked))]
 
 
 def _row(row: Mapping[str, object]) -> dict[str, object]:
-    error = row.get("gain_se", row.get("gain_error"))
-    gain = row.get("gain")
     return {
         "effect": str(row["effect"]),
         "kind": str(row.get("kind", "")),
-        "gain": row.get("statistic", row.get("predicted_drop")) if gain is None else gain,
-        "on_unseen": gain is not None,
-        "error": error,
-        "refitted": row.get("refitted"),
+        "predicted": row.get("predicted_drop", row.get("statistic")),
+        "drop": row.get("drop", row.get("refitted")),
+        "gain": row.get("gain"),
+        "error": row.get("gain_se"),
+        "numbers": row.get("numbers"),
         "struck": str(row.get("struck") or row.get("reason") or ""),
-        "spent": row.get("spent", row.get("numbers")),
         "p_value": row.get("p_value"),
         "estimate": row.get("estimate") or {},
         "std": row.get("std") or {},
@@ -121,29 +119,27 @@ def _row(row: Mapping[str, object]) -> dict[str, object]:
 
 
 def ranking_chart(rows: Sequence[Mapping[str, object]], chosen: Sequence[str]) -> dict[str, object]:
-    """Bars by candidate, the best at the top; hatched: struck off. chosen: effects concluded."""
-    shown = [row for row in rows if row["gain"] is not None][:RANKED][::-1]
-    bars = [max(float(row["gain"]), 0.0) for row in shown]
-    falls = [*bars, *(float(row["refitted"]) for row in shown if row["refitted"] is not None)]
+    """Bars by candidate, the best at the top: how far the misfit would fall and, beside it where it was
+    refitted, what it gained on unseen frames, with standard errors. chosen: effects concluded; hatched: struck off."""
+    shown = [row for row in rows if row["predicted"] is not None][:RANKED][::-1]
+    bars = [max(float(row["predicted"]), 0.0) for row in shown]
+    falls = [*bars, *(float(row["drop"]) for row in shown if row["drop"] is not None)]
     wide = bool(falls) and max(falls) > 50.0 * max(min((f for f in falls if f > 0), default=1.0), 1e-9)
-    trace = {
+    looks = {
+        "color": ["$unseen" if row["effect"] in chosen else "$fitted" for row in shown],
+        "pattern": {"shape": ["/" if row["struck"] else "" for row in shown], "fgcolor": "$paper"},
+        "opacity": [0.55 if row["struck"] else 1.0 for row in shown],
+    }
+    common = {
         "type": "bar",
         "orientation": "h",
-        "name": "by its derivative",
         "y": [escape(row["effect"]) for row in shown],
-        "x": [max(b, 0.5) for b in bars] if wide else bars,
-        "marker": {
-            "color": ["$unseen" if row["effect"] in chosen else "$fitted" for row in shown],
-            "pattern": {"shape": ["/" if row["struck"] else "" for row in shown], "fgcolor": "$paper"},
-            "opacity": [0.55 if row["struck"] else 1.0 for row in shown],
-        },
+        "marker": looks,
         "customdata": [[_hover(row)] for row in shown],
         "hovertemplate": "<b>%{y}</b>: %{x:.4g}<br>%{customdata[0]}<extra></extra>",
     }
-    if any(row["error"] is not None for row in shown):
-        trace["error_x"] = {"type": "data", "array": [row["error"] or 0.0 for row in shown], "color": "$ink"}
-    refits = [row for row in shown if row["refitted"] is not None]
-    traces = [trace]
+    traces = [common | {"name": "by its derivative", "x": [max(b, 0.5) for b in bars] if wide else bars}]
+    refits = [row for row in shown if row["drop"] is not None]
     if refits:
         traces.append(
             {
@@ -151,21 +147,21 @@ def ranking_chart(rows: Sequence[Mapping[str, object]], chosen: Sequence[str]) -
                 "mode": "markers",
                 "name": "once it was refitted",
                 "y": [escape(row["effect"]) for row in refits],
-                "x": [row["refitted"] for row in refits],
+                "x": [row["drop"] for row in refits],
                 "marker": {"symbol": "diamond", "size": 11, "color": "$ink"},
                 "hovertemplate": "<b>%{y}</b>: the misfit really fell by %{x:.4g}<extra></extra>",
             }
         )
-    across = {"title": {"text": "fall of the misfit (chi²)"}, "type": "log" if wide else "linear"}
+    axes = {"xaxis": {"title": {"text": "fall of the misfit (chi²)"}, "type": "log" if wide else "linear"}}
+    if any(row["gain"] is not None for row in shown):
+        axes["xaxis"]["domain"] = [0.0, 0.58]
+        axes["xaxis2"] = {"title": {"text": "gain on unseen frames (log likelihood)"}, "domain": [0.64, 1.0]}
+        errors = {"type": "data", "array": [row["error"] or 0.0 for row in shown], "color": "$ink"}
+        gains = {"name": "gain ± standard error", "x": [row["gain"] for row in shown], "xaxis": "x2"}
+        traces.append(common | gains | {"error_x": errors, "showlegend": False})
     margin = {"l": 150, "r": 24, "t": 40, "b": 56}
-    return figure(
-        "chart-ranking",
-        130 + 30 * len(shown),
-        traces,
-        xaxis=across,
-        yaxis={"automargin": True},
-        margin=margin,
-    )
+    height = 130 + 30 * len(shown)
+    return figure("chart-ranking", height, traces, **axes, yaxis={"automargin": True}, margin=margin)
 
 
 def _hover(row: Mapping[str, object]) -> str:
@@ -173,10 +169,10 @@ def _hover(row: Mapping[str, object]) -> str:
         f"{escape(name)} = {value:.4g}" + spread_of(row["std"].get(name))
         for name, value in row["estimate"].items()
     ]
-    if row["error"] is not None:
-        lines.append(f"standard error {row['error']:.3g}")
-    if row["spent"] is not None:
-        lines.append(f"numbers spent: {row['spent']}")
+    if row["gain"] is not None:
+        lines.append(f"gain on unseen frames {row['gain']:.4g}" + spread_of(row["error"]))
+    if row["numbers"] is not None:
+        lines.append(f"numbers spent: {row['numbers']}")
     if row["p_value"] is not None:
         lines.append(f"p = {row['p_value']:.2g}")
     if row["ties"]:

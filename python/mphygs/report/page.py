@@ -2,45 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from html import escape
 
-import numpy as np
-
-from mphygs.capture.format import Capture
-from mphygs.diagnose.document import seen_from, spot_lines
-from mphygs.fit.determined import of_unit_length
-from mphygs.fit.run import Run
 from mphygs.report import charts
+from mphygs.report.contents import Contents
+from mphygs.report.evidence import parameters, ranking
 from mphygs.report.filmed import wipe
-from mphygs.report.html import asset, chart, folded, number, scene, scripts, table
+from mphygs.report.html import asset, chart, folded, scene, scripts, table
 from mphygs.report.verdict import concluded, sentence, tiles
-
-# A correlation above this is told of a parameter.
-TRADES = 0.6
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Contents:
-    """All that a page tells.
-
-    parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run; scene:
-    see `scene_document`; films: video beside rendering by sequence; commands: that made it; force: what is
-    said of the missing force, line by line; hidden: sequences that the scene has no room for.
-    """
-
-    run: Run
-    capture: Capture
-    parameters: Mapping[str, Mapping[str, object]]
-    comparison: Mapping[str, object]
-    scene: Mapping[str, object]
-    commands: Sequence[str]
-    films: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
-    diagnosis: Mapping[str, object] | None = None
-    steps: Mapping[str, object] | None = None
-    force: Sequence[str] = ()
-    hidden: Sequence[str] = ()
 
 
 def page(contents: Contents) -> str:
@@ -50,8 +20,8 @@ def page(contents: Contents) -> str:
         ("fall", "How the error fell", _fall(contents, figures)),
         ("object", "The object", _object(contents)),
         ("moments", "Which marker, which frame", _moments(contents)),
-        ("ranking", "What could be missing", _ranking(contents, figures)),
-        ("parameters", "The numbers found", _parameters(contents, figures)),
+        ("ranking", "What could be missing", ranking(contents, figures)),
+        ("parameters", "The numbers found", parameters(contents, figures)),
         ("budget", "Where the error comes from", _budget(contents, figures)),
         ("force", "The missing force", _force(contents)),
         ("next", "What to do next", _next(contents)),
@@ -169,98 +139,6 @@ def _when(comparison: Mapping[str, object]) -> str:
         table(["part", "centre mm", "rms mm beyond noise"], where)
         + table(["sequence", "frames", "rms mm beyond noise"], when),
     )
-
-
-def _ranking(contents: Contents, figures: list) -> str:
-    found = contents.diagnosis
-    if found is None:
-        return '<p class="quiet">Not diagnosed yet: mphygs diagnose.</p>'
-    rows = charts.ranking_rows(found)
-    if not rows:
-        return '<p class="quiet">No candidate was scored.</p>'
-    figures.append(charts.ranking_chart(rows, found["effects"]))
-    seen = {str(entry["effect"]): seen_from(entry) for entry in found["ranking"]}
-    lines = []
-    for row in rows:
-        numbers = ", ".join(
-            f"{name} {number(value)}" + charts.spread_of(row["std"].get(name))
-            for name, value in row["estimate"].items()
-        )
-        told = [row["struck"], ", ".join(row["ties"])]
-        gain = None if row["gain"] is None else float(row["gain"])
-        lines.append(
-            [row["effect"], row["kind"], _cell(gain), _cell(row["error"]), _cell(row["p_value"]),
-             _cell(row["refitted"]), numbers, seen.get(row["effect"], ""), *told]
-        )  # fmt: skip
-    head = [
-        "candidate", "kind", "chi² falls by", "standard error", "p", "refitted, falls by", "estimate",
-        "seen from", "struck off, why", "not told apart from",
-    ]  # fmt: skip
-    spots = "\n".join(spot_lines(found)[1:])
-    struck = [[row["effect"], row["struck"]] for row in rows if row["struck"]]
-    off = "<h3>Struck off, and why</h3>" + table(["candidate", "reason"], struck) if struck else ""
-    words = "How far the misfit would fall with each candidate. Orange: concluded; hatched: struck off."
-    return (
-        f'<p class="quiet">{words}</p>{chart("chart-ranking", "fall of the misfit by candidate")}{off}'
-        + folded("all candidates as a table", table(head, lines))
-        + (folded("where and when it is wanted", f"<pre>{escape(spots)}</pre>") if spots else "")
-    )
-
-
-def _cell(value: object) -> object:
-    return "" if value is None else float(value)
-
-
-def _parameters(contents: Contents, figures: list) -> str:
-    run = contents.run
-    free, _, covariance = of_unit_length(run.belief.free, run.information, run.covariance)
-    keys = [p.key for p in free]
-    correlation = charts.correlations_of(keys, covariance)
-    trades = _trades(keys, correlation)
-    rows, classes = [], []
-    for key, entry in contents.parameters.items():
-        remark = str(entry.get("note", ""))
-        if not entry["determined"]:
-            remark = f"not determined: {remark}"
-        std = entry["std"]
-        between = entry.get("interval") or (
-            [entry["value"] - 2 * std, entry["value"] + 2 * std] if std is not None else []
-        )
-        span = " to ".join(number(end) for end in between)
-        rows.append(
-            [key, entry["value"], std if std is not None else "unbounded", span, entry["unit"],
-             trades.get(key, ""), remark]
-        )  # fmt: skip
-        classes.append("" if entry["determined"] else "undetermined")
-    used = ", ".join(f"{name} frames {a} to {b}" for name, (a, b) in run.ranges.items())
-    effects = ", ".join(run.belief.effects) or "none"
-    facts = (
-        f'<p class="quiet">{escape(run.belief.law)}, prestress {escape(run.belief.prestress)}, effects: '
-        f"{escape(effects)}; grid {1e3 * run.settings.spacing:.3g} mm, {escape(run.transfer)}; fitted on "
-        f"{escape(used)}.</p>"
-    )
-    pieces = [facts]
-    head = ["parameter", "value", "standard error", "two standard errors", "unit", "trades with", ""]
-    pieces.append(table(head, rows, classes))
-    for figure, words in (
-        (charts.intervals_chart(contents.parameters), "how sure each parameter is"),
-        (charts.correlation_chart(keys, correlation), "correlations of the parameters"),
-    ):
-        if figure is not None:
-            figures.append(figure)
-            pieces.append(chart(str(figure["id"]), words))
-    return "".join(pieces)
-
-
-def _trades(keys: Sequence[str], correlation: np.ndarray) -> dict[str, str]:
-    """What each parameter is most correlated with, where that is much."""
-    found = {}
-    for k, key in enumerate(keys):
-        others = [(abs(c), other, c) for other, c in zip(keys, correlation[k], strict=True) if other != key]
-        best = max((item for item in others if np.isfinite(item[0])), default=None)
-        if best is not None and best[0] >= TRADES:
-            found[key] = f"{best[1]} ({best[2]:+.2f})"
-    return found
 
 
 def _budget(contents: Contents, figures: list) -> str:
