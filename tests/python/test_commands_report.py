@@ -30,7 +30,8 @@ LARGEST_PAGE = 5_000_000
 # A candidate as a diagnosis tells it.
 DRAG = {
     "effect": "air_drag", "kind": "smooth", "statistic": 120.0, "p_value": 1e-9, "estimate": {"c_d": 1.2},
-    "std": {"c_d": 0.1}, "confounded_with": ["wind"], "reason": "", "refitted": 90.0, "detectable": {"c_d": 0.3},
+    "std": {"c_d": 0.1}, "confounded_with": ["wind"], "reason": "", "refitted": 90.0,
+    "detectable": {"c_d": 0.3},
 }  # fmt: skip
 
 
@@ -144,7 +145,8 @@ def with_force(reported: Path) -> Path:
     found = Unexplained(missing, (sample,), explained, ("bar",))
     keep_missing_force(found, folder)
     diagnosis = {
-        "verdict": "unknown", "effects": [], "ranking": [DRAG], "missing_force": found.document(), "advice": "",
+        "verdict": "unknown", "effects": [], "ranking": [DRAG], "advice": "",
+        "missing_force": found.document(),
     }  # fmt: skip
     (folder / "diagnosis.json").write_text(json.dumps(plain(diagnosis)))
     out = folder / "force.html"

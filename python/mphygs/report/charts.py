@@ -120,7 +120,8 @@ def _row(row: Mapping[str, object]) -> dict[str, object]:
 
 def ranking_chart(rows: Sequence[Mapping[str, object]], chosen: Sequence[str]) -> dict[str, object]:
     """Bars by candidate, the best at the top: how far the misfit would fall and, beside it where it was
-    refitted, what it gained on unseen frames, with standard errors. chosen: effects concluded; hatched: struck off."""
+    refitted, what it gained on unseen frames, with standard errors. chosen: effects
+    concluded; hatched: struck off."""
     shown = [row for row in rows if row["predicted"] is not None][:RANKED][::-1]
     bars = [max(float(row["predicted"]), 0.0) for row in shown]
     falls = [*bars, *(float(row["drop"]) for row in shown if row["drop"] is not None)]
