@@ -69,7 +69,7 @@ def _packed(pixels: np.ndarray, quality: int) -> str:
 
 def wipe(identifier: str, name: str) -> str:
     """The place of a video beside its rendering. name: of the sequence, escaped."""
-    return f"""<h3>{name}</h3><div id="{identifier}">
+    return f"""<div class="film" id="{identifier}"><h3>{name}</h3>
 <div class="wipe"><img alt="video"><img alt="rendering"><div class="edge"></div></div>
 <div class="controls">
 <label>video | rendering <input data-role="edge" type="range" min="0" max="100" value="50"></label>

@@ -112,7 +112,7 @@ def _object(contents: Contents) -> str:
     films = "".join(
         wipe(str(film["id"]), f"{escape(name)}: video | rendering") for name, film in contents.films.items()
     )
-    return f'<p class="quiet">{escape(words + left)}</p>{scene()}{films}'
+    return f'<p class="quiet">{escape(words + left)}</p>{scene()}<div class="films">{films}</div>'
 
 
 def _moments(contents: Contents) -> str:

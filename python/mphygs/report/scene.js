@@ -79,7 +79,9 @@ function mphygsScene(root, Plotly, data) {
     const vector = up.map((u) => 0.42 * u);
     vector[flat[0]] -= 1.0;
     vector[flat[1] ?? flat[0]] += 0.38;
-    const gain = 1.65 / Math.hypot(...vector);
+    // Far enough for what is long across the page, and for what is tall.
+    const tall = Math.abs(size.reduce((s, x, a) => s + x * up[a], 0)) / Math.max(...size);
+    const gain = Math.max(1.75, 2.5 * tall) / Math.hypot(...vector);
     const at = (v) => ({ x: v[0], y: v[1], z: v[2] });
     return { eye: at(vector.map((x) => gain * x)), up: at(up), center: at([0, 0, 0]) };
   }
