@@ -25,7 +25,14 @@ from mphygs.fit.tables import parameters_of
 from mphygs.report.contents import Contents
 from mphygs.report.filmed import BUDGET as FILMED
 from mphygs.report.filmed import Filmed
-from mphygs.report.models import SEQUENCES, TOTAL, VERTICES, models_of, motion_of, scene_document
+from mphygs.report.models import (
+    SEQUENCES,
+    TOTAL,
+    models_of,
+    motion_of,
+    scene_document,
+    vertices_for,
+)
 from mphygs.report.page import page
 from mphygs.report.skin import skin_of
 
@@ -66,7 +73,7 @@ def report(options: ReportOptions, console: Console) -> Answer:
     forces = load_samples(state.folder, wanted) if told else {}
     shown = sorted(wanted, key=lambda name: name not in state.ranges)[:SEQUENCES]
     models = models_of(state, belief, steps)
-    skin = skin_of(experiment.capture.parts, VERTICES)
+    skin = skin_of(experiment.capture.parts, vertices_for(len(shown)))
     motions = {}
     for number, name in enumerate(shown):
         console.progress((number + 1) / (len(shown) + 1), f"drawing {name}")

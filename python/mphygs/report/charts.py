@@ -85,7 +85,8 @@ def fall_chart(
 def _ticks(low: float, high: float) -> list[float]:
     """Round numbers between two powers of ten."""
     decades = range(int(np.floor(low)), int(np.ceil(high)) + 1)
-    steps = (1,) if high - low > 2.5 else (1, 2, 5) if high - low > 0.5 else (0.8, 1, 1.2, 1.5, 2, 2.5, 3, 4, 5)
+    fine = (1, 2, 5) if high - low > 0.5 else (0.8, 1, 1.2, 1.5, 2, 2.5, 3, 4, 5)
+    steps = (1,) if high - low > 2.5 else fine
     found = [m * 10.0**d for d in decades for m in steps]
     return [v for v in found if low <= np.log10(v) <= high]
 

@@ -18,7 +18,7 @@ from mphygs.report.skin import Skin, nearest_markers
 from mphygs.simulate.errors import SimulationError
 
 # Vertices of the object, sequences that are shown, and bytes of all of them.
-VERTICES, SEQUENCES, TOTAL = 2200, 8, 1_300_000
+VERTICES, SEQUENCES, TOTAL = 2200, 8, 1_200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +28,11 @@ class Model:
     label: str
     belief: Belief
     spacing: float
+
+
+def vertices_for(sequences: int) -> int:
+    """How fine the object is where so many sequences share a page."""
+    return int(VERTICES * min(1.0, 3.0 / sequences))
 
 
 def models_of(run: Run, belief: Belief, steps: Mapping[str, object] | None) -> tuple[Model, ...]:

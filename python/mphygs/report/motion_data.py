@@ -36,10 +36,12 @@ def quantise(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
     return encoded(whole, "<i2")
 
 
-def modes_of(motion: np.ndarray, tolerance: float, largest: int) -> dict[str, object]:
+def modes_of(
+    motion: np.ndarray, box: tuple[np.ndarray, np.ndarray], tolerance: float, largest: int
+) -> dict[str, object]:
     """A motion (T, N, 3) [m] as its mean and a few modes times amplitudes (singular value decomposition).
 
-    As many modes as leave nowhere more than tolerance [m], at most `largest`.
+    As many modes as leave nowhere more than tolerance [m], at most `largest`. box: low and high [m].
     """
     flat = motion.reshape(len(motion), -1)
     mean = flat.mean(0)
@@ -50,7 +52,7 @@ def modes_of(motion: np.ndarray, tolerance: float, largest: int) -> dict[str, ob
         rank += 1
     peak = np.abs(right[:rank]).max(1) if rank else np.zeros(0)
     return {
-        "mean": encoded(mean, "<f4"),
+        "mean": quantise(mean.reshape(-1, 3), *box),
         "count": rank,
         "modes": encoded(np.rint(right[:rank] / peak[:, None] * LARGEST), "<i2"),
         "amplitudes": encoded(left[:, :rank] * size[:rank] * peak / LARGEST, "<f4"),
@@ -102,6 +104,8 @@ def motion_document(
     for label, points in models.items():
         if len(points) != frames or points.shape[1] < markers:
             raise ValueError(f"motion: measured {measured.shape}, predicted by {label} {points.shape}")
+    # What a shape takes without any mode, and what tells its skin from which markers it is painted.
+    budget -= max(points.shape[1] for points in models.values()) * (6 * len(models) + 18)
     each = max(markers * (6 + 4 * len(models)), 1)
     most = min(LARGEST_FRAME_COUNT, max(int(MEASURED_SHARE * budget / each), 20))
     shown = np.arange(0, frames, max(1, -(-frames // most)))
@@ -112,6 +116,7 @@ def motion_document(
         arrows = _arrows(force, frames, extent)[shown]
         ends = arrows.reshape(-1, 3)
         everything = np.concatenate([everything, ends[np.isfinite(ends).all(1)]])
+    rank = _rank(next(iter(models.values())), len(models), budget)
     low, high = everything.min(0) - 0.02 * extent, everything.max(0) + 0.02 * extent
     document = {
         "fps": fps,
@@ -127,7 +132,7 @@ def motion_document(
             {
                 "label": label,
                 "errors": encoded(np.linalg.norm(measured - points[:, :markers], axis=2)[shown], "<f4"),
-                **modes_of(points[shown], TOLERANCE * extent, _rank(points, len(models), budget)),
+                **modes_of(points[shown], (low, high), TOLERANCE * extent, rank),
             }
             for label, points in models.items()
         ],

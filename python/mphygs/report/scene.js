@@ -24,7 +24,7 @@ function mphygsScene(root, Plotly, data) {
     const given = data.sequences[name], before = chosen("model");
     motion = { ...given, near: array(Uint16Array, given.near), weight: array(Uint8Array, given.weight), measured: unpack(given.measured, given.low, given.high),
       arrows: given.arrows ? unpack(given.arrows, given.low, given.high) : null,
-      models: given.models.map((m) => ({ ...m, errors: array(Float32Array, m.errors), mean: array(Float32Array, m.mean),
+      models: given.models.map((m) => ({ ...m, errors: array(Float32Array, m.errors), mean: unpack(m.mean, given.low, given.high),
         modes: array(Int16Array, m.modes), amplitudes: array(Float32Array, m.amplitudes) })) };
     pick("force-label").hidden = !motion.arrows;
     pick("model").hidden = motion.models.length < 2;
