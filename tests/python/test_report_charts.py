@@ -12,6 +12,7 @@ from mphygs.report.charts import (
     ranking_chart,
     ranking_rows,
 )
+from mphygs.report.evidence import two_errors
 from mphygs.report.filmed import Filmed
 from mphygs.report.verdict import pooled, sentence
 
@@ -81,6 +82,12 @@ def test_intervals_and_correlations_are_those_of_the_covariance() -> None:
     assert correlation[0, 1] == pytest.approx(-0.5) and np.isnan(correlation[2]).all()
     assert correlation_chart(["a", "b", "c"], correlation)["data"][0]["z"][0] == [1.0, -0.5, None]
     assert correlation_chart(["a"], correlation[:1, :1]) is None
+
+
+def test_two_errors_of_a_logarithm_stay_above_zero() -> None:
+    assert two_errors(10.0, 1.0, log=False) == [8.0, 12.0] and two_errors(1.0, None, log=True) == []
+    low, high = two_errors(10.0, 10.0, log=True)
+    assert 0.0 < low and low * high == pytest.approx(100.0) and high == pytest.approx(10.0 * np.exp(2.0))
 
 
 def test_budget_adds_up_in_squares() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from html import escape
 
@@ -62,6 +63,7 @@ def parameters(contents: Contents, figures: list) -> str:
     run = contents.run
     free, _, covariance = of_unit_length(run.belief.free, run.information, run.covariance)
     keys = [p.key for p in free]
+    logarithms = {p.key for p in free if p.log}
     correlation = charts.correlations_of(keys, covariance)
     trades = _trades(keys, correlation)
     rows, classes = [], []
@@ -70,9 +72,7 @@ def parameters(contents: Contents, figures: list) -> str:
         if not entry["determined"]:
             remark = f"not determined: {remark}"
         std = entry["std"]
-        between = entry.get("interval") or (
-            [entry["value"] - 2 * std, entry["value"] + 2 * std] if std is not None else []
-        )
+        between = entry.get("interval") or two_errors(entry["value"], std, log=key in logarithms)
         span = " to ".join(number(end) for end in between)
         rows.append(
             [key, entry["value"], std if std is not None else "unbounded", span, entry["unit"],
@@ -97,6 +97,15 @@ def parameters(contents: Contents, figures: list) -> str:
             figures.append(figure)
             pieces.append(chart(str(figure["id"]), words))
     return "".join(pieces)
+
+
+def two_errors(value: float, std: float | None, *, log: bool) -> list[float]:
+    """Two standard errors either way, in the logarithm of a number that is fitted in it; [] without any."""
+    if std is None:
+        return []
+    if log:
+        return [value * math.exp(-2.0 * std / value), value * math.exp(min(2.0 * std / value, 700.0))]
+    return [value - 2.0 * std, value + 2.0 * std]
 
 
 def _trades(keys: Sequence[str], correlation: np.ndarray) -> dict[str, str]:
