@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mphygs.compare.assess import Compared
-from mphygs.compare.noise import Observation
 from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.ranking import Ranking
@@ -69,9 +68,7 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
         count = int((bad & item.observation.observed).sum())
         if count:
             position = np.where(bad[..., None], np.nan, item.observation.position)
-            experiment.observations[name] = Observation(
-                position, item.observation.noise, item.observation.weight
-            )
+            experiment.observations[name] = replace(item.observation, position=position)
             total += count
     return total
 

@@ -16,6 +16,7 @@ from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
 from mphygs.compare.image_errors import image_table, joined
+from mphygs.compare.noise import noise_document, noise_lines
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_document, starts_text
@@ -208,6 +209,7 @@ def _answer(
         "substep": substep,
         "spacing": spacing,
         "transfer": state.transfer,
+        "noise": noise_document(experiment.observations),
         "sequences": {
             name: {label: ranges[label] for label in ("fit", "predict")} for name, ranges in errors.items()
         },
@@ -228,6 +230,7 @@ def _boundary_lines(capture: Capture) -> list[str]:
 def _text(state: Run, capture: Capture, embedded: bool) -> str:
     answer = state.answer
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
+    lines[-1:] = [*noise_lines(answer.get("noise", {})), ""]
     if answer.get("feedback"):
         lines += feedback_lines(answer["feedback"])
     if state.stages is not None:
