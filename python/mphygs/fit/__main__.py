@@ -28,6 +28,7 @@ from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.profile import Interval, intervals
 from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.schedule import check_spacing, default_spacing
+from mphygs.fit.sensitivity import WHY, sensitivity_lines, sensitivity_of
 from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
@@ -160,6 +161,9 @@ def fitted(
         console.say("the fit is done and kept; intervals from the likelihood:")
         found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
     answer = _answer(state, experiment, console, found)
+    if state.stages is None:
+        problem = experiment.problem(state.settings.spacing)
+        answer["sensitivity"] = sensitivity_of(problem, state.belief, problem.evaluate(state.belief))
     if options.feedback is not None:
         console.say("predicting under feedback")
         answer["feedback"] = feedback_document(
@@ -233,6 +237,8 @@ def _text(state: Run, capture: Capture, embedded: bool) -> str:
     lines[-1:] = [*noise_lines(answer.get("noise", {})), ""]
     if answer.get("feedback"):
         lines += feedback_lines(answer["feedback"])
+    if answer.get("sensitivity"):
+        lines += [WHY, table(sensitivity_lines(answer["sensitivity"], answer["parameters"])), ""]
     if state.stages is not None:
         lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
         lines[1:1] = _boundary_lines(capture)
