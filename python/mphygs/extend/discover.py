@@ -10,7 +10,6 @@ import numpy as np
 
 from mphygs.capture.track_faults.tracks import Finding
 from mphygs.compare.assess import Compared
-from mphygs.compare.noise import Observation
 from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.ranking import Ranking
@@ -76,9 +75,7 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
         count = int((bad & item.observation.observed).sum())
         if count:
             position = np.where(bad[..., None], np.nan, item.observation.position)
-            experiment.observations[name] = Observation(
-                position, item.observation.noise, item.observation.weight
-            )
+            experiment.observations[name] = replace(item.observation, position=position)
             total += count
     return total
 

@@ -16,6 +16,7 @@ from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
 from mphygs.compare.image_errors import image_table, joined
+from mphygs.compare.noise import noise_document, noise_lines
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_document, starts_text
@@ -28,6 +29,7 @@ from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.profile import Interval, intervals
 from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.schedule import check_spacing, default_spacing
+from mphygs.fit.sensitivity import WHY, sensitivity_lines, sensitivity_of
 from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
@@ -160,6 +162,9 @@ def fitted(
         console.say("the fit is done and kept; intervals from the likelihood:")
         found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
     answer = _answer(state, experiment, console, found)
+    if state.stages is None:
+        problem = experiment.problem(state.settings.spacing)
+        answer["sensitivity"] = sensitivity_of(problem, state.belief, problem.evaluate(state.belief))
     if options.feedback is not None:
         console.say("predicting under feedback")
         answer["feedback"] = feedback_document(
@@ -209,6 +214,7 @@ def _answer(
         "substep": substep,
         "spacing": spacing,
         "transfer": state.transfer,
+        "noise": noise_document(experiment.observations),
         "sequences": {
             name: {label: ranges[label] for label in ("fit", "predict")} for name, ranges in errors.items()
         },
@@ -229,8 +235,11 @@ def _boundary_lines(capture: Capture) -> list[str]:
 def _text(state: Run, capture: Capture, embedded: bool) -> str:
     answer = state.answer
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
+    lines[-1:] = [*noise_lines(answer.get("noise", {})), ""]
     if answer.get("feedback"):
         lines += feedback_lines(answer["feedback"])
+    if answer.get("sensitivity"):
+        lines += [WHY, table(sensitivity_lines(answer["sensitivity"], answer["parameters"])), ""]
     if state.stages is not None:
         lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
         lines[1:1] = _boundary_lines(capture)

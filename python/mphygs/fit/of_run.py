@@ -141,12 +141,16 @@ def chosen_names(experiment: Experiment, wanted: Sequence[str]) -> list[str]:
 
 
 def errors_of(experiment: Experiment, compared: Mapping[str, Compared]) -> dict[str, dict]:
-    """Errors of compared sequences, over the stated sigma where the capture states one."""
+    """Errors of compared sequences, over the stated sigma where the capture states one that its tracks do not
+    deny."""
     sigmas = {}
     for name, item in compared.items():
         markers = experiment.capture.sequence(name).markers
         stated = markers is not None and markers.sigma
-        sigmas[name] = float(np.hypot(markers.sigma, markers.offset)) if stated else item.observation.sigma
+        believed = stated and not item.observation.denied
+        sigmas[name] = (
+            float(np.hypot(markers.sigma, markers.offset)) if believed else item.observation.sigma
+        )
     return sequence_errors(compared, sigmas)
 
 
