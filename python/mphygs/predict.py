@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
 
-from mphygs.capture.format import Capture, Markers
+from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.written import replace_arrays
 from mphygs.claim import claim_output, kept_inside
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.compare.image_errors import image_table, joined
-from mphygs.fit.experiment import Experiment
+from mphygs.fit.object_points import predict_points
 from mphygs.fit.of_run import errors_of, experiment_of, pictured_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import errors_text, parameters_of, table
-from mphygs.model.belief import Belief
 from mphygs.scene.surface import SurfaceSamples, exposed_surface
-from mphygs.simulate.prediction import Prediction, Predictor
+from mphygs.simulate.prediction import Prediction
 
 PROGRAM = "mphygs predict"
 # Points of the surface that are predicted with the markers, to be looked at.
@@ -67,7 +66,7 @@ def predict(options: PredictOptions, console: Console) -> Answer:
     for number, recording in enumerate(recordings):
         console.progress(number / len(recordings), f"predicting {recording.name}")
         known = experiment.with_release(belief, recording.name, spacing) if recording.markers else belief
-        prediction, markers = predict_points(experiment, known, recording, surface)
+        prediction, markers = predict_points(experiment, known, recording, surface.points)
         path = folder / f"{recording.name}.npz"
         _write(path, prediction, markers, recording)
         found[recording.name] = {
@@ -119,29 +118,6 @@ def surface_points(capture: Capture, count: int = SURFACE_POINTS) -> SurfaceSamp
     return SurfaceSamples(
         samples.points[stride], samples.area[stride], samples.normal[stride], samples.part[stride]
     )
-
-
-def predict_points(
-    experiment: Experiment, belief: Belief, recording: Recording, surface: SurfaceSamples
-) -> tuple[Prediction, int]:
-    """Every frame of a sequence, for its markers and, behind them, for points of the surface.
-
-    Returns the prediction and the number of markers. Raises SimulationError where the run is unstable.
-    """
-    own = np.zeros((0, 3)) if recording.markers is None else recording.markers.at
-    at = np.concatenate([own, surface.points])
-    unmeasured = Markers(np.full((recording.frames, len(at), 3), np.nan), at, 1.0)
-    body = next((p.body for p in _same_hold(experiment, recording)), None)
-    settings = experiment.settings
-    predictor = Predictor(experiment.capture, replace(recording, markers=unmeasured), settings, body=body)
-    return predictor.predict(belief), len(own)
-
-
-def _same_hold(experiment: Experiment, recording: Recording) -> list[Predictor]:
-    """Simulators of this very sequence that are there already."""
-    problem = experiment.problems.get(experiment.settings.spacing)
-    known = {} if problem is None else problem.predictors
-    return [known[recording.name]] if recording.name in known else []
 
 
 def _write(path: Path, prediction: Prediction, markers: int, recording: Recording) -> None:

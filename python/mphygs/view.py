@@ -16,16 +16,17 @@ from mphygs.command import Answer, CommonOptions, Console, OptionError, names, p
 from mphygs.fit.of_run import chosen_names, experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of
-from mphygs.report.__main__ import motion_of
-from mphygs.report.live import live_page, live_server, moved_belief
-from mphygs.report.motion_data import restore
+from mphygs.report.live import live_page, live_server, moved_belief, without_effects
+from mphygs.report.models import VERTICES, Model, motion_of, scene_document
+from mphygs.report.skin import skin_of
 
 PROGRAM = "mphygs view"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions(CommonOptions):
-    """A live 3D viewer of measured and predicted motion, with a slider for every fitted number."""
+    """A live 3D viewer of measured and predicted motion, with a slider for every fitted number and a switch
+    for every effect."""
 
     run: tyro.conf.Positional[Path]
     """Run folder."""
@@ -53,23 +54,27 @@ def view(options: ViewOptions, console: Console) -> Answer:
     experiment, belief = experiment_of(state, workers=options.workers)
     wanted = chosen_names(experiment, names(options.sequences))
 
-    def simulate(name: str, positions: Mapping[str, object]) -> dict[str, object]:
+    skin = skin_of(experiment.capture.parts, VERTICES)
+
+    def simulate(
+        name: str, positions: Mapping[str, object], off: Sequence[object]
+    ) -> dict[str, object]:
         if name not in wanted:
             raise ValueError(f"sequence '{name}': expected one of {', '.join(wanted)}")
-        known = experiment.with_release(moved_belief(belief, positions), name, state.settings.spacing)
-        motion = motion_of(experiment, known, name, state)
-        low, high = np.array(motion["low"]), np.array(motion["high"])
-        measured, predicted = (restore(motion[key], low, high) for key in ("measured", "predicted"))
-        rms = float(np.sqrt(np.nanmean(((measured - predicted) ** 2).sum(-1))))
-        return plain({"motion": motion, "rms": rms})
+        moved = without_effects(moved_belief(belief, positions), off)
+        model = Model("model", moved, state.settings.spacing)
+        motion, error = motion_of(experiment, (model,), name, state, skin)
+        rms = float(np.sqrt(np.nanmean(error**2)))
+        return plain({"motion": motion, "rms": rms, "over_noise": rms / motion["sigma"] / np.sqrt(3.0)})
 
     motions = {}
     for number, name in enumerate(wanted):
         console.progress(number / len(wanted), f"simulating {name}")
         experiment.predictor(name, state.settings.spacing)
-        motions[name] = simulate(name, {})["motion"]
+        motions[name] = simulate(name, {}, ())["motion"]
+    shown = plain(scene_document(experiment, skin, motions))
     try:
-        server = live_server(options.port, live_page(experiment.capture.name, belief, motions), simulate)
+        server = live_server(options.port, live_page(experiment.capture.name, belief, shown), simulate)
     except OSError as error:
         raise OptionError(
             f"--port {options.port}: cannot be used ({error.strerror}); expected a free port"

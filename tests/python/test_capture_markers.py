@@ -235,14 +235,14 @@ def test_zeros_for_gaps_are_noticed_and_said(tmp_path: Path) -> None:
     markers = example.load().sequences[0].markers
     assert np.isnan(markers.position[[2, 7, 8], 0]).all() and np.isnan(markers.position[9:, 3]).all()
     assert np.isfinite(markers.position[:9, 3]).all()
-    assert markers.notes == (
+    assert [finding.text for finding in markers.findings] == [
         "6 marker positions of exactly 0 0 0 are taken as not measured (zero_is_missing)",
-    )
+    ]
     example.sequence["markers"]["zero_is_missing"] = False
     assert (
         "marker" in example.complaint()
         if np.linalg.norm(AT[0]) > 0.5
-        else not example.load().sequences[0].markers.notes
+        else not example.load().sequences[0].markers.findings
     )
     example.sequence["markers"]["zero_is_missing"] = "yes"
     assert 'zero_is_missing: is "yes"; expected true or false' in example.complaint()
@@ -257,7 +257,7 @@ def test_a_marker_that_is_at_zero_is_there(tmp_path: Path) -> None:
     np.savez(tmp_path / "markers.npz", position=track)
     example.sequence["markers"]["at"] = at.tolist()
     markers = example.load().sequences[0].markers
-    assert markers.notes == () and (markers.position[:6, 2] == 0.0).all()
+    assert markers.findings == () and (markers.position[:6, 2] == 0.0).all()
     example.sequence["markers"]["zero_is_missing"] = True
     assert np.isnan(example.load().sequences[0].markers.position[:6, 2]).all()
 
@@ -269,7 +269,7 @@ def test_zeros_of_a_c3d_are_those_of_its_own_frame(tmp_path: Path) -> None:
     write_c3d(tmp_path / "markers.c3d", track, labels=NAMES)
     example.sequence["markers"]["file"] = "markers.c3d"
     markers = example.load().sequences[0].markers
-    assert np.isnan(markers.position[7, 1]).all() and len(markers.notes) == 1
+    assert np.isnan(markers.position[7, 1]).all() and len(markers.findings) == 1
     assert np.nanmax(np.abs(markers.position[0] - AT)) < 1e-3
 
 

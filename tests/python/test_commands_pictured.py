@@ -32,6 +32,7 @@ from mphygs.report import __main__ as report
 from mphygs.scene.object_files import write_features
 from mphygs.scene.ply import read_gaussians
 from mphygs.simulate.errors import SimulationError
+from page_driver import opened
 from pictured_example import SHOOT, pictured_flower, stages_of_truth
 
 SPACING = 0.009
@@ -170,8 +171,22 @@ def test_compare_and_report_tell_of_pictures(fitted: dict) -> None:
     assert all(Path(path).is_file() for path in (*found["films"], *found["pictures"]))
     code, out, _ = call(compare.main, fitted["run"], "--workers", 1)
     assert code == 0 and "PSNR dB" in out and "frog.mp4" in out
-    page = Path(answer(report.main, fitted["run"], "--workers", 1)["report"]).read_text()
-    assert "PSNR dB" in page and "frog, video beside prediction" in page
+    path = Path(answer(report.main, fitted["run"], "--workers", 1)["report"])
+    page = path.read_text()
+    assert path.stat().st_size < 5_000_000
+    with opened(path.as_uri()) as shown:
+        film = shown.locator("#film-0")
+        assert len(shown.evaluate("JSON.parse(document.getElementById('data').textContent).films")) == 2
+        drawn = film.locator("img").nth(1)
+        first = drawn.get_attribute("src")
+        for role, value in (("edge", 20), ("time", 7)):
+            film.locator(f"[data-role={role}]").evaluate(
+                f"s => {{ s.value = '{value}'; s.dispatchEvent(new Event('input')); }}"
+            )
+        assert film.get_attribute("data-frame") == "7" and drawn.get_attribute("src") != first
+        assert "20%" in drawn.evaluate("i => i.style.clipPath")
+        assert drawn.evaluate("i => i.naturalWidth") == SHOOT.size
+    assert "PSNR dB" in page and "frog: video | rendering" in page
 
 
 @pytest.mark.slow

@@ -242,7 +242,8 @@ def test_derivatives_of_a_fault(name: str) -> None:
 
 def test_faults_act_one_after_the_other() -> None:
     assert [f.name for f in faults()] == [
-        "time_offset", "frame_drift", "length_scale", "marker_outliers", "sliding_frame",
+        "time_offset", "frame_drift", "length_scale", "common_shake", "frame_drops", "label_swaps",
+        "marker_labels", "marker_outliers", "marker_survey", "noise_level", "zero_gaps", "sliding_frame",
     ]  # fmt: skip
     belief = bar_belief(bar().capture, youngs_modulus=(4e4, 2e4))
     for name in ("length_scale", "frame_drift"):

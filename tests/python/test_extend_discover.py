@@ -21,12 +21,17 @@ from extend_example import (
     solution_of,
     step_of,
 )
+from mphygs.capture.markers import Markers
+from mphygs.capture.track_faults.tracks import Finding
+from mphygs.compare.noise import Observation
+from mphygs.compare.whitening import NoiseModel
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend import discover, grids, refits, settle, window
 from mphygs.extend.met_again import onward
 from mphygs.extend.refit import Refit
 from mphygs.extend.refits import promising, refits_of
+from mphygs.extend.seen_faults import fault_names, seen_faults
 from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
 from mphygs.extend.window import tractable_window
@@ -39,6 +44,7 @@ from mphygs.simulate.errors import SimulationError
 
 # An experiment on one core, of which nothing else is asked.
 ALONE = SimpleNamespace(settings=SimpleNamespace(workers=1), capture=None)
+UNSEEN = SimpleNamespace(observations={}, capture=None)
 
 
 @pytest.fixture(autouse=True)
@@ -1043,7 +1049,7 @@ def test_what_explains_too_little_is_not_kept(
         monkeypatch.setattr(discover, name, function)
     said: list[str] = []
     loop = discover.discover(
-        SimpleNamespace(capture=None), plain_belief(), SPACING, start=[first], report=said.append
+        UNSEEN, plain_belief(), SPACING, start=[first], report=said.append
     )
     assert [step.added for step in loop.steps] == ([(), ("fibre",)] if kept else [()])
     assert ("fibre: explains too little of what is left" in said) is not kept
@@ -1083,7 +1089,7 @@ def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
     monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
     monkeypatch.setattr(discover, "undetermined", lambda *_: ())
     # A loop that is resumed stops where it would have.
-    found = discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
+    found = discover.discover(UNSEEN, plain_belief(), SPACING, start=steps)
     assert found.verdict == "unknown" and len(looked) == goes_on
 
 
@@ -1122,7 +1128,7 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
     }  # fmt: skip
     for name, function in patches.items():
         monkeypatch.setattr(discover, name, function)
-    discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
+    discover.discover(UNSEEN, plain_belief(), SPACING, start=steps)
     assert pruned == (["wind"] if asked else [])
 
 
@@ -1150,7 +1156,7 @@ def test_a_step_that_was_kept_is_not_asked_again_for_its_grid(
     monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
     monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
     monkeypatch.setattr(discover, "undetermined", lambda *_: ())
-    experiment = SimpleNamespace(capture=None)
+    experiment = UNSEEN
     found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
     assert len(went) == asked
     assert found.steps == tuple(steps)
@@ -1173,7 +1179,7 @@ def test_an_exchange_that_explains_no_longer_is_not_made(
     monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
     monkeypatch.setattr(discover, "undetermined", lambda *_: ())
     monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
-    experiment = SimpleNamespace(capture=None)
+    experiment = UNSEEN
     found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
     assert (found.verdict, found.effects) == ("missing", effects)
 
@@ -1201,6 +1207,35 @@ def test_the_verdict(
     found = discover._conclude(steps, [], ["a warning"])
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.steps == tuple(steps) and found.warnings == ("a warning",)
+
+
+@pytest.mark.parametrize(
+    ("added", "ratio", "verdict", "effects"),
+    [
+        ([()], 1.0, "measurement", ("label_swaps", "zero_gaps")),
+        ([(), ("viscosity",)], 1.0, "missing", ("viscosity", "label_swaps", "zero_gaps")),
+        ([()], 1.5, "unknown", ()),
+    ],
+)
+def test_faults_that_the_tracks_show_are_concluded(
+    added: list[tuple[str, ...]], ratio: float, verdict: str, effects: tuple[str, ...]
+) -> None:
+    steps = [step_of(assessment_of(9.0), added=names) for names in added]
+    steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=ratio < 1.1))
+    swaps, gaps = Finding("label_swaps", "2 and 3"), Finding("zero_gaps", "5")
+    found = discover._conclude(steps, [], [], {"a": [swaps], "b": [swaps, gaps]})
+    assert (found.verdict, found.effects) == (verdict, effects)
+    assert found.warnings == ("'a': label_swaps: 2 and 3", "'b': label_swaps: 2 and 3", "'b': zero_gaps: 5")
+
+
+def test_a_jitter_of_all_markers_beyond_the_stated_noise_is_a_fault() -> None:
+    jitter = replace(NoiseModel.white(2e-4, "stated"), common_sigma=np.array([0.0, 4e-4, 0.0]))
+    for sigma, named in ((2e-4, ["common_shake"]), (4e-4, [])):
+        markers = Markers(np.zeros((3, 2, 3)), np.zeros((2, 3)), sigma)
+        capture = SimpleNamespace(sequence=lambda _name, own=markers: SimpleNamespace(markers=own))
+        observation = Observation(markers.position, jitter, np.ones(2))
+        found = seen_faults(SimpleNamespace(observations={"a": observation}, capture=capture))
+        assert fault_names(found) == named
 
 
 def test_a_noise_that_nothing_reaches_is_said_to_be_too_large() -> None:

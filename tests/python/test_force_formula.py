@@ -62,3 +62,26 @@ def test_features_all_but_parallel_are_one_term() -> None:
     (term,) = formula(data, features, parameters, block).terms
     assert (term.expression, term.alike) == ("twin", ("|v| v",)), "the simple one speaks for both"
     assert term.stability > 0.95
+
+
+def test_a_formula_that_explains_less_than_half_is_not_told() -> None:
+    features, parameters, block = columns()
+    rest = np.random.default_rng(6).standard_normal((ROWS, 60))
+    data = 0.4 * features[:, 3] + np.random.default_rng(7).standard_normal(ROWS)
+    assert [t.expression for t in formula(data, features, parameters, block).terms] == ["e_x"]
+    found = formula(data + rest @ np.full(60, 0.09), features, parameters, block)
+    assert found.terms == () and found.explained == 0.0
+    assert found.unstable[0][0] == "e_x" and found.unstable[0][1] > 0.9
+    assert found.untold.startswith("e_x would explain 2") and found.untold.endswith("% of the misfit")
+
+
+def test_a_term_of_an_unsure_coefficient_is_not_told() -> None:
+    features, parameters, block = columns()
+    # Its sign is another in every block, but for a mean that stands out of 20 of them by two errors or so.
+    change = np.random.default_rng(8).standard_normal(BLOCKS)
+    strength = 0.9 + 1.9 * (change - change.mean()) / change.std()
+    data = 2.5 * features[:, 0] + strength[block] * features[:, 4]
+    data += np.random.default_rng(9).standard_normal(ROWS)
+    found = formula(data, features, parameters, block)
+    assert [t.expression for t in found.terms] == ["v"], "the sure term stays"
+    assert dict(found.unstable)["e_y"] > 0.7, "chosen again and again, and not sure"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,13 @@ from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
 from mphygs.capture.files import Size, file_inside, read_arrays
 from mphygs.capture.rotation import align_rigid
+from mphygs.capture.track_faults import label_swaps, zero_gaps
+from mphygs.capture.track_faults.examined import examined
+from mphygs.capture.track_faults.tracks import Finding, Tracks
 
 SIGMAS = (1e-9, 1.0)  # [m]
 FARTHEST = 1e4  # [m] of a place from the origin
 _FEWEST_SEEN = 3  # markers, for a rigid fit
-# A place of exactly 0 0 0 is a gap where the marker is so far from there just before and after.
-_GAP_SIGMAS, _GAP_SHARE = 20.0, 0.02
 _FIRST_FRAMES = 5  # taken as rest where no release is given
 
 
@@ -26,18 +27,22 @@ class Markers:
     """Marker tracks of one sequence, in the object frame.
 
     position: (T, M, 3) [m], NaN where not measured; at: (M, 3) [m], the markers at rest; sigma: [m], one
-    standard deviation of the noise per coordinate; names: M labels, or none; notes: what was noticed in the
-    file and is to be said.
-    Of tracks from video also spread: (M,) [m], each one's own standard deviation; memory: what of a track's
-    lasting error is carried to the next frame; lasting: that error's share of the variance, the rest is new
-    in every frame.
+    standard deviation of the noise per coordinate, as stated or as the tracks show; names: M labels, or none;
+    findings: faults that were noticed in the file and put right; scatter: (M,) [m], each one's own standard
+    deviation where the tracks show that they differ; offset: [m] of a coordinate of what is not known of the
+    markers' places, a constant of each.
+    Of tracks from video also spread: (M,) [m], each one's own standard deviation as stated; memory: what of
+    a track's lasting error is carried to the next frame; lasting: that error's share of the variance, the
+    rest is new in every frame.
     """
 
     position: np.ndarray
     at: np.ndarray
     sigma: float
     names: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    scatter: np.ndarray | None = None
+    offset: float = 0.0
     spread: np.ndarray | None = None
     memory: float = 0.0
     lasting: float = 1.0
@@ -51,6 +56,14 @@ class Markers:
             or self.spread.min() <= 0
         ):
             raise ValueError(f"spread: expected {len(self.at)} standard deviations above zero [m]")
+
+    @property
+    def each(self) -> np.ndarray:
+        """(M,) [m] standard deviation of a coordinate of each marker."""
+        for own in (self.spread, self.scatter):
+            if own is not None:
+                return np.asarray(own, float)
+        return np.full(len(self.at), self.sigma)
 
     def at_rest(self, release: int | None) -> np.ndarray:
         """Median position (M, 3) [m] over the resting frames: those before release, or the first few."""
@@ -91,6 +104,8 @@ def read_markers(
     at = entry["at"].array((None, 3), most=FARTHEST)
     sigma = entry["sigma"].within(*SIGMAS, "a standard deviation above zero [m]")
     names = _read_names(entry, len(at))
+    given = entry.get("zero_is_missing")
+    zeros = None if given is None else given.flag()
     path = file_inside(folder, entry["file"])
     suffix = path.suffix.lower()
     if suffix == ".npz":
@@ -99,7 +114,7 @@ def read_markers(
         position = read_arrays(path, {"position": shape})["position"]
         if first is not None:
             position = _from_frame(path, position, first, frames)
-        position, gaps = _without_zeros(position, at, sigma, entry.get("zero_is_missing"))
+        tracks = examined(Tracks(position, at, sigma, release, zeros, begins=start))
     elif suffix == ".c3d":
         if start == "measured":
             what = f"{path.name} is told in the object frame by its rest, which the sequence does not show"
@@ -109,16 +124,26 @@ def read_markers(
             position = position[:, _columns(entry["names"], names, labels)]
         _check_count(path, position, at)
         names = names or labels
-        position, gaps = _without_zeros(position, at, sigma, entry.get("zero_is_missing"))
-        position = _to_object_frame(path, position, at, release)
+        # Zeros are seen in the file's own frame, the others in the object's.
+        tracks = zero_gaps.check(Tracks(position, at, sigma, release, zeros, begins=start))
+        aligned = _to_object_frame(path, tracks.position, at, release)
+        tracks = examined(replace(tracks, position=aligned, zero_is_missing=False, raw=position))
+        if any(finding.fault == label_swaps.FAULT for finding in tracks.findings):
+            again = _to_object_frame(path, tracks.position, at, release)
+            tracks = replace(tracks, position=again)
     else:
         raise entry["file"].wrong("an .npz or a .c3d file")
-    if not np.isfinite(position).any():
+    if not np.isfinite(tracks.position).any():
         raise fault(f"{path}: position", "is NaN everywhere", "measured positions")
-    notes = ()
-    if gaps:
-        notes = (f"{gaps} marker positions of exactly 0 0 0 are taken as not measured (zero_is_missing)",)
-    return Markers(position=position, at=at, sigma=sigma, names=names, notes=notes)
+    return Markers(
+        position=tracks.position,
+        at=tracks.at,
+        sigma=tracks.sigma,
+        names=names,
+        findings=tracks.findings,
+        scatter=tracks.scatter,
+        offset=tracks.lasting,
+    )
 
 
 def _from_frame(path: Path, position: np.ndarray, first: int, frames: int) -> np.ndarray:
@@ -126,37 +151,6 @@ def _from_frame(path: Path, position: np.ndarray, first: int, frames: int) -> np
         expected = f"at least {first + frames}, frames {first} to {first + frames - 1}"
         raise fault(f"{path}: position", f"has {len(position)} frames", expected)
     return position[first : first + frames]
-
-
-def _without_zeros(
-    position: np.ndarray, at: np.ndarray, sigma: float, given: Entry | None
-) -> tuple[np.ndarray, int]:
-    """Tracks (T, M, 3) with NaN where a file has zeros for what was not seen, and how many those are.
-
-    given: whether it does; where it does not say, a place of exactly zero is none when the marker is far from
-    there in the nearest frames that have another place.
-    """
-    zero = (position == 0.0).all(axis=2)
-    if not zero.any() or (given is not None and not given.flag()):
-        return position, 0
-    if given is None:
-        reach = max(_GAP_SIGMAS * sigma, _GAP_SHARE * float(np.linalg.norm(np.ptp(at, axis=0))))
-        zero &= _distance_nearby(position, zero) > reach
-    return np.where(zero[..., None], np.nan, position), int(zero.sum())
-
-
-def _distance_nearby(position: np.ndarray, zero: np.ndarray) -> np.ndarray:
-    """(T, M) [m] from the origin, in the nearest frame in which a marker is seen; endless where in none."""
-    frames = np.arange(len(position))
-    seen = np.isfinite(position).all(axis=2) & ~zero
-    away = np.full(zero.shape, np.inf)
-    for marker in np.flatnonzero(zero.any(axis=0) & seen.any(axis=0)):
-        known = np.flatnonzero(seen[:, marker])
-        right = np.searchsorted(known, frames).clip(0, len(known) - 1)
-        left = np.maximum(right - 1, 0)
-        distance = np.linalg.norm(position[known, marker], axis=1)
-        away[:, marker] = np.minimum(distance[left], distance[right])
-    return away
 
 
 def _read_names(entry: Entry, count: int) -> tuple[str, ...]:

@@ -93,15 +93,6 @@ class Film:
         self._writer.write(np.ascontiguousarray(image))
 
 
-def still(shown: Sequence[Shown]) -> bytes:
-    """A PNG: what the first camera saw, frame beside frame, over what is predicted for it."""
-    seen = [s.photographs[0].colour * s.photographs[0].mask[..., None] for s in shown]
-    drawn = [s.pictures[0].colour.detach().numpy() for s in shown]
-    image = np.concatenate([np.concatenate(seen, axis=1), np.concatenate(drawn, axis=1)])
-    pixels = np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)[..., ::-1]
-    return cv2.imencode(".png", pixels)[1].tobytes()
-
-
 def image_table(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]]) -> list[list[str]]:
     """Rows of cells for people: sequence, frames, PSNR, IoU, chamfer distance. The first row is the head."""
     rows = [["sequence", "frames", "PSNR dB", "IoU %", "chamfer px"]]

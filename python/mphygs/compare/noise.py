@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,23 +11,29 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
 from mphygs.compare.autoregression import Autoregression
 from mphygs.compare.seen import mean_seen
-from mphygs.compare.whitening import NoiseModel, Whitener, noise_from_rest
+from mphygs.compare.seen_sigma import SeenSigma, seen_sigma
+from mphygs.compare.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 
 # Without a stated sigma and without rest footage: what good marker systems reach.
 DEFAULT_SIGMA = 2e-4
+# Of an error that stays, what is carried from frame to frame.
+STAYS = 0.995
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
     """position: (T, M, 3) [m], NaN where missing; noise: of one coordinate.
 
-    weight: (M,) 1 for markers in use, 0 for markers left out as outliers.
+    weight: (M,) 1 for markers in use, 0 for markers left out as outliers; stated: sigma of the capture [m];
+    seen: what the tracks show of it, where that is used.
     """
 
     position: np.ndarray
     noise: NoiseModel
     weight: np.ndarray
+    stated: float | None = None
+    seen: SeenSigma | None = None
     _whiteners: dict = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -46,13 +53,19 @@ class Observation:
         """Standard deviation of one coordinate, everything included, root mean square over markers [m]."""
         return float(np.sqrt(np.mean(self.noise.sigma**2) + np.mean(self.noise.common_sigma**2)))
 
+    @property
+    def denied(self) -> bool:
+        """Whether the tracks show another sigma than was stated."""
+        return self.seen is not None and self.stated is not None and self.seen.differs(self.stated)
+
     def without(self, markers: np.ndarray) -> Observation:
         """The same measurement with (M,) bool markers left out."""
-        return Observation(self.position, self.noise, np.where(markers, 0.0, self.weight))
+        return replace(self, weight=np.where(markers, 0.0, self.weight))
 
 
 def observe(recording: Sequence, attachment: Attachment) -> Observation:
-    """The markers of a sequence; noise from markers that cannot move, else as stated.
+    """The markers of a sequence; noise from markers that cannot move, its scale as all tracks show it from
+    frame to frame where they tell, else as stated.
 
     Markers cannot move before a release, or where they sit on what is held: there the hold's own motion
     is taken off, and what a late clock, a wrong scale or a drifting frame shows there: these are faults to be
@@ -84,7 +97,18 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 true[:, mine] = np.einsum("tij,mj->tmi", rotation, at) + shift[:, None]
             rest = without_faults(position[:, held] - true, times, true)
             what = "markers on what is held"
-    sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
+    stated, sigma = _stated(markers), markers.sigma if markers.sigma else DEFAULT_SIGMA
+    own = None if markers.scatter is None else markers.each / sigma
+    if own is not None and rest is not None:
+        rest = rest / (own if rest.shape[1] == len(own) else own[held])[:, None]
+    still = rest is not None and int(np.isfinite(rest).all(2).sum(0).max(initial=0)) >= MINIMUM_REST_FRAMES
+    # Where markers differ each has its own, which was read off the tracks as well.
+    seen = None if own is not None else seen_sigma(position)
+    # Noise that lasts is not seen in differences: without markers at rest, which show it, less than was
+    # stated is no proof.
+    if seen is not None and not still and not (seen.value > stated and seen.differs(stated)):
+        seen = None
+    sigma = sigma if seen is None else seen.value
     if rest is None or rest.shape[1] == 0:
         noise = NoiseModel.white(sigma, "stated sigma, taken as white")
     else:
@@ -100,7 +124,57 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 common_correlation=noise.common_correlation,
                 scale_degrees=noise.scale_degrees,
             )
-    return Observation(position, noise, np.ones(position.shape[1]))
+    if seen is not None:
+        source = noise.source.replace("stated", "seen from frame to frame")
+        noise = replace(noise, source=source, scale_degrees=min(noise.scale_degrees, seen.degrees))
+    if own is not None:
+        source = f"{noise.source}; each marker's own share as the tracks show"
+        noise = replace(noise, sigma=noise.sigma * own, source=source)
+    if markers.offset:
+        noise = _with_offset(noise, markers.offset)
+    return Observation(position, noise, np.ones(position.shape[1]), stated, seen)
+
+
+def _stated(markers: Markers) -> float:
+    """Sigma as the capture states it [m], whatever its tracks showed when they were read."""
+    told = (finding.numbers.get("stated") for finding in markers.findings)
+    return next((value for value in told if value), markers.sigma or DEFAULT_SIGMA)
+
+
+def noise_document(observations: Mapping[str, Observation]) -> dict[str, dict[str, object]]:
+    """By sequence: the standard deviation of a coordinate as stated, as seen in the tracks (None where they
+    do not tell), and as used [m], and where that comes from."""
+    return {
+        name: {
+            "stated": seen.stated,
+            "seen": None if seen.seen is None else seen.seen.value,
+            "used": seen.sigma,
+            "differs": seen.denied,
+            "source": seen.noise.source,
+        }
+        for name, seen in observations.items()
+    }
+
+
+def noise_lines(document: Mapping[str, Mapping[str, object]]) -> list[str]:
+    """A line for each sequence whose noise is another than was stated."""
+    return [
+        f"{name}: sigma is stated as {1e3 * entry['stated']:.3g} mm, but the tracks show "
+        f"{1e3 * entry['seen']:.3g} mm from frame to frame, which is used"
+        for name, entry in document.items()
+        if entry["differs"]
+    ]
+
+
+def _with_offset(noise: NoiseModel, offset: float) -> NoiseModel:
+    """The noise with a constant error of each marker's place [m] beside it, as one that all but stays."""
+    variance = noise.sigma**2 + offset**2
+    lasts = noise.correlation if noise.correlated_share.any() else Autoregression((STAYS,))
+    share = (noise.correlated_share * noise.sigma**2 + offset**2) / variance
+    source = f"{noise.source}; places of the markers known to {1e3 * offset:.2g} mm"
+    return replace(
+        noise, sigma=np.sqrt(variance), correlated_share=share, correlation=lasts, source=source
+    )
 
 
 def without_faults(rest: np.ndarray, times: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -200,6 +200,10 @@ def noise_from_rest(rest: Array | None, sigma: float | None, *, what: str = "mar
     common = fit_common(series, observed, fit)
     if common is not None:
         fit = fit_rest(without_common(series, observed), observed, maximum_order=order)
+        if sigma is not None:
+            # What is stated is of all noise, the common jitter included, which is told apart from here on.
+            own = sigma**2 - float(np.mean(common.variance))
+            sigma = float(np.sqrt(max(own, min(sigma**2, float(np.median(fit.variance))))))
     variance, scale_degrees, words = _scale(fit.variance, fit.degrees, sigma)
     share = (
         _correlated_share(fit.variance, fit.degrees, variance)

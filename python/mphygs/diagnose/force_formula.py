@@ -21,6 +21,9 @@ RESAMPLES, STABLE = 100, 0.7
 RIVAL = 0.1
 # Features that differ in less than this share of their squares are not told apart.
 ALIKE = 0.02
+# A formula is told where it takes away this share of what is to be explained, each of its coefficients at
+# least so many standard errors from zero.
+MOST, SURE = 0.5, 3.0
 
 
 @dataclass(frozen=True)
@@ -45,11 +48,13 @@ class Term:
 @dataclass(frozen=True)
 class Formula:
     """terms: kept; explained: share of chi^2 beyond noise that they take away; unstable: what was chosen and
-    did not stay, with the share of the resamples that chose it, the most often chosen first."""
+    did not stay, with the share of the resamples that chose it, the most often chosen first; untold: why
+    terms that stayed are no formula, empty where there is one or none stayed."""
 
     terms: tuple[Term, ...]
     explained: float
     unstable: tuple[tuple[str, float], ...]
+    untold: str = ""
 
     @property
     def text(self) -> str:
@@ -194,7 +199,8 @@ def find_formula(
 ) -> Formula:
     """The terms that explain the data and that blocks drawn again keep choosing.
 
-    simple: features that speak for those that cannot be told from them.
+    simple: features that speak for those that cannot be told from them. A term whose coefficient is not sure
+    is left out, the least sure first, and terms that leave more than they explain are no formula.
     """
     blocks = len(regression.rows)
     alike = regression.alike()
@@ -211,15 +217,32 @@ def find_formula(
         for k in np.argsort(-frequency)
         if k not in kept and (frequency[k] >= RIVAL or k in full)
     ]
+    untold = ""
+    while kept:
+        coefficients, _, explained = regression.fit(kept, np.ones(blocks))
+        again = np.array([regression.fit(kept, draw.astype(float))[0] for draw in draws])
+        std = again.std(0)
+        sure = np.abs(coefficients) / np.maximum(std, 1e-300)
+        least = int(sure.argmin())
+        if sure[least] >= SURE and explained >= MOST:
+            break
+        if sure[least] < SURE:
+            left_out = [kept[least]]
+            untold = untold or f"{expressions[kept[least]]} is {sure[least]:.1f} standard errors from zero"
+        else:
+            left_out = kept
+            terms = " and ".join(expressions[k] for k in kept)
+            untold = f"{terms} would explain {max(explained, 0.0):.0%} of the misfit"
+        unstable += [(expressions[k], float(frequency[k])) for k in left_out]
+        kept = [k for k in kept if k not in left_out]
+    unstable = tuple(sorted(unstable, key=lambda pair: -pair[1]))
     if not kept:
-        return Formula((), 0.0, tuple(unstable))
-    coefficients, _, explained = regression.fit(kept, np.ones(blocks))
-    again = np.array([regression.fit(kept, draw.astype(float))[0] for draw in draws])
+        return Formula((), 0.0, unstable, untold)
     terms = [
         Term(
             k, expressions[k], units[k], float(c), float(s), float(frequency[k]),
             tuple(expressions[j] for j in np.flatnonzero(spokesman == k) if j != k),
         )  # fmt: skip
-        for k, c, s in zip(kept, coefficients, again.std(0), strict=True)
+        for k, c, s in zip(kept, coefficients, std, strict=True)
     ]
-    return Formula(tuple(terms), float(np.clip(explained, 0.0, 1.0)), tuple(unstable))
+    return Formula(tuple(terms), float(np.clip(explained, 0.0, 1.0)), unstable)

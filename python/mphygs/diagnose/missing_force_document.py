@@ -60,6 +60,7 @@ class Unexplained:
                 }
                 for t in formula.terms
             ],
+            "untold": formula.untold or None,
             "unstable": [{"expression": e, "stability": s} for e, s in formula.unstable],
             "explained": {"force": self.missing.explained, "formula": formula.explained},
             "sigma": {
@@ -198,6 +199,8 @@ def missing_force_text(document: Mapping[str, object], capture: Path, folder: Pa
     ]
     tried = ", ".join(f"{e['expression']} ({e['stability']:.0%})" for e in document["unstable"][:3])
     if document["formula"] is None:
+        if document.get("untold"):
+            return [*lines, f"  no formula: {document['untold']}"]
         return [*lines, f"  no stable formula{'; frames drawn again choose ' + tried if tried else ''}"]
     lines.append(f"  formula [N/kg]: {document['formula']}")
     for term in document["terms"]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
+from mphygs.capture.track_faults.tracks import Finding
 from mphygs.compare.assess import Compared
-from mphygs.compare.noise import Observation
 from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.ranking import Ranking
@@ -25,6 +26,7 @@ from mphygs.extend.readmit import readmitted
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.refits import refits_of
+from mphygs.extend.seen_faults import fault_lines, fault_names, seen_faults
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
@@ -73,9 +75,7 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
         count = int((bad & item.observation.observed).sum())
         if count:
             position = np.where(bad[..., None], np.nan, item.observation.position)
-            experiment.observations[name] = Observation(
-                position, item.observation.noise, item.observation.weight
-            )
+            experiment.observations[name] = replace(item.observation, position=position)
             total += count
     return total
 
@@ -291,7 +291,7 @@ def discover(
         steps[-1] = narrowed(experiment, steps[-1], report)
     return replace(
         _conclude(
-            steps, rankings, warnings, final=final,
+            steps, rankings, warnings, seen_faults(experiment), final=final,
             unsure=undetermined(steps[-1], experiment) if steps[-1].explained else (),
         ),  # fmt: skip
         table=next((step.table for step in steps if step.table), table),
@@ -302,12 +302,14 @@ def _conclude(
     steps: list[Step],
     rankings: list[Ranking],
     warnings: list[str],
+    faults: Mapping[str, Sequence[Finding]] = MappingProxyType({}),
     *,
     final: bool = True,
     unsure: Sequence[str] = (),
 ) -> Discovery:
-    """What the steps come to; final: with what is to be said of the last one; unsure: effects of its model of
-    which no number is determined: nothing that is concluded rests on them."""
+    """What the steps come to; faults: that the measurement showed by itself; final: with what is to be said
+    of the last one; unsure: effects of its model of which no number is determined: nothing that is concluded
+    rests on them."""
     last = steps[-1]
     added: list[str] = []
     for step in steps:
@@ -315,7 +317,9 @@ def _conclude(
         added = [name for name in added if name not in step.dropped]
     told = [text for step in steps for text in step.warnings]
     told += [f"{n}: in the model, but the data determine none of its numbers" for n in added if n in unsure]
-    if not last.explained or any(name in unsure for name in added):
+    doubtful = any(name in unsure for name in added)
+    added += [name for name in fault_names(faults) if name not in added]
+    if not last.explained or doubtful:
         verdict, added = "unknown", []
     elif not added:
         verdict = "adequate"
@@ -323,7 +327,8 @@ def _conclude(
         verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
     if not final:
         return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))
-    came = [
+    came = fault_lines(faults)
+    came += [
         f"{term.name}: acts since the first frame; the published shape does not bear it"
         for term in last.belief.terms
         if term.name in added and term.settings.get("at_rest") is False and "sequences" not in term.settings

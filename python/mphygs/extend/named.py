@@ -11,7 +11,7 @@ from mphygs.diagnose.rank import rank
 from mphygs.extend.discover import first_fit, mask_outliers
 from mphygs.extend.finer import lender_of
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
-from mphygs.extend.step import Step
+from mphygs.extend.step import FAULT, Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
 from mphygs.model.belief import Belief
@@ -40,7 +40,9 @@ def add_named(
     spec = effect(name)
     if name in before.belief.effects or (name == "prestress" and before.belief.prestress == "equilibrium"):
         raise ValueError(f"effect '{name}' is in the model already; expected another one")
-    if name == "marker_outliers":
+    if spec.fault and not spec.fitted and name != FAULT:
+        raise ValueError(f"effect '{name}' is seen in the tracks alone, and put right when they are read")
+    if name == FAULT:
         left_out = mask_outliers(experiment, before.compared)
         if report:
             report(f"{left_out} measurements do not move with their neighbours: left out")

@@ -16,10 +16,12 @@ from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
 from mphygs.compare.image_errors import image_table, joined
+from mphygs.compare.noise import noise_document, noise_lines
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_document, starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
+from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.of_run import capture_of, errors_of, feedback_document, pictured_of
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
@@ -27,6 +29,7 @@ from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.profile import Interval, intervals
 from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.schedule import check_spacing, default_spacing
+from mphygs.fit.sensitivity import WHY, sensitivity_lines, sensitivity_of
 from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
@@ -144,8 +147,8 @@ def fitted(
         f"grid {1e3 * state.settings.spacing:.3g} mm; run folder {state.folder}"
     )
     for recording in capture.sequences:
-        for note in () if recording.markers is None else recording.markers.notes:
-            console.say(f"{recording.name}: {note}")
+        for finding in () if recording.markers is None else recording.markers.findings:
+            console.say(f"{recording.name}: {finding.text}")
     console.begin()
     if state.options.get("homogeneous"):
         from mphygs.baselines.homogeneous import fit_homogeneous
@@ -164,6 +167,9 @@ def fitted(
         console.say("the fit is done and kept; intervals from the likelihood:")
         found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
     answer = _answer(state, experiment, console, found)
+    if state.stages is None:
+        problem = experiment.problem(state.settings.spacing)
+        answer["sensitivity"] = sensitivity_of(problem, state.belief, problem.evaluate(state.belief))
     if options.feedback is not None:
         console.say("predicting under feedback")
         answer["feedback"] = feedback_document(
@@ -215,6 +221,7 @@ def _answer(
         "substep": substep,
         "spacing": spacing,
         "transfer": state.transfer,
+        "noise": noise_document(experiment.observations),
         "sequences": {
             name: {label: ranges[label] for label in ("fit", "predict")} for name, ranges in errors.items()
         },
@@ -235,11 +242,14 @@ def _boundary_lines(capture: Capture) -> list[str]:
 def _text(state: Run, capture: Capture, embedded: bool) -> str:
     answer = state.answer
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
+    lines[-1:] = [*noise_lines(answer.get("noise", {})), ""]
     if answer.get("feedback"):
         lines += feedback_lines(answer["feedback"])
     if answer.get("like"):
         told = [f"{key.rsplit('.', 1)[0]} {words}" for key, words in answer["like"].items()]
         lines[1:1] = ["by its stiffness: " + ", ".join(told)]
+    if answer.get("sensitivity"):
+        lines += [WHY, table(sensitivity_lines(answer["sensitivity"], answer["parameters"])), ""]
     if state.stages is not None:
         lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
         lines[1:1] = _boundary_lines(capture)
@@ -306,7 +316,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         capture = load_capture(path)
     else:
         path = options.capture
-        capture = load_capture(path)
+        capture = well_labelled(load_capture(path))
         out = out or RUNS / folder_name(capture.name)
         claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))

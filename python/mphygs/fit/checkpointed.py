@@ -7,13 +7,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.paper_plan import PaperStage, paper_plan, remembers
 from mphygs.fit.run import Run, StageRecord
 from mphygs.fit.schedule import Stage, fit_belief, plan_of
-from mphygs.fit.uncertainty import grid_change, spread_of
+from mphygs.fit.uncertainty import grid_change, prediction_change, spread_of
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 
 
 def _forget(experiment: Experiment) -> None:
@@ -30,6 +34,22 @@ def _ratio(plan: Sequence[Stage | PaperStage], number: int) -> float:
     if not isinstance(before, Stage) or not isinstance(stage, Stage) or before.share != stage.share:
         return 1.0
     return before.spacing / stage.spacing
+
+
+def _spread(
+    experiment: Experiment, solution: Solution, before: Belief, spacing: float, coarser: float
+) -> np.ndarray:
+    """(P, P) covariance of a fit. before: the belief of the stage before; coarser: see `_ratio`."""
+    problem, evaluation = experiment.problem(spacing), solution.evaluation
+    if coarser <= 1.0:
+        return spread_of(problem, evaluation)
+    try:
+        other = experiment.problem(spacing * coarser).evaluate(solution.belief, jacobian=False)
+    except SimulationError:
+        change = None  # what the coarse grid cannot carry it cannot be compared with
+    else:
+        change = prediction_change(evaluation, other, coarser)
+    return spread_of(problem, evaluation, grid_change(before, solution.belief, coarser), change)
 
 
 def fit_run(
@@ -89,15 +109,13 @@ def fit_run(
             float(solution.evaluation.misfit),
         )
         last = len(run.history) + 1 == len(plan)
-        before, coarser = run.belief, _ratio(plan, len(run.history))
+        before, coarser = solution.start or run.belief, _ratio(plan, len(run.history))
+        run = replace(run, belief=before)
         run = run.after(record, solution.belief)
         if last:
             run = replace(
                 run,
-                covariance=spread_of(
-                    solution.evaluation,
-                    grid_change(before, solution.belief, coarser) if coarser > 1.0 else None,
-                ),
+                covariance=_spread(experiment, solution, before, stage.spacing, coarser),
                 information=information_of(solution.evaluation, len(solution.belief.free)),
             )
         run.save()

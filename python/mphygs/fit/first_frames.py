@@ -22,8 +22,9 @@ FRAMES = 5
 LEVEL = 1e-4
 # So many standard errors of a marker, root mean square: what is less is not worth numbers of its own.
 SIZE = 2.0
-# Steps of Gauss and Newton from the linear shapes to the bent ones.
-STEPS = 6
+# Steps of Gauss and Newton from the linear shapes to the bent ones; the least share of one that is gone, and
+# of the amplitudes that is worth another.
+STEPS, SHORTEST, ACCURACY = 20, 1e-2, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,7 @@ def _still(recording: Recording) -> bool:
     if recording.held:
         rotation, shift = recording.held[0].poses(times, recording.fps)
         position = (position - shift[:, None]) @ rotation
-    spread = np.full(len(markers.at), markers.sigma) if markers.spread is None else markers.spread
+    spread = markers.each
     squares = ((position - markers.at) / spread[:, None]) ** 2
     seen = np.isfinite(squares)
     return bool(np.sum(squares[seen]) < chi2.isf(LEVEL, max(int(seen.sum()), 1)))
@@ -223,8 +224,7 @@ class _Markers:
             rotation, shift = recording.held[0].poses(times, recording.fps)
             position = (position - shift[:, None]) @ rotation
         self.displaced = position[:, used] - self.rest
-        spread = np.full(len(markers.at), markers.sigma) if markers.spread is None else markers.spread
-        self.sigma = spread[used]
+        self.sigma = markers.each[used]
         self.columns = np.stack([self._of(s).ravel() for s in np.moveaxis(self.shapes.shape, 2, 0)], axis=1)
 
     def returns(self) -> bool:
@@ -246,15 +246,21 @@ class _Markers:
         """Amplitudes and speeds of the `count` slowest shapes, bent, nearest to displacements [m] and
         velocities [m/s] (M, 3) of the markers."""
         grid, sigma = StartOnGrid(self.shapes, self.shapes.body), np.repeat(self.sigma, 3)
-        still = HeldAt.of((), 0.0, 1.0)
-        none, amplitude, least = np.zeros(count), np.zeros(count), np.inf
-        trial = amplitude
+        still, none = HeldAt.of((), 0.0, 1.0), np.zeros(count)
+
+        def missed(amplitude: np.ndarray) -> np.ndarray:
+            return (place - self._of(grid.state(amplitude, none, still)[0])).ravel() / sigma
+
+        amplitude, left = none, missed(none)
         for _ in range(STEPS):
-            left = (place - self._of(grid.state(trial, none, still)[0])).ravel() / sigma
-            if not left @ left < least:
-                break
-            amplitude, least = trial, left @ left
             slopes = grid.slopes(amplitude, none, still)[:count]
             matrix = np.stack([self._of(s).ravel() for s, _ in slopes], axis=1) / sigma[:, None]
-            trial = amplitude + np.linalg.lstsq(matrix, left, rcond=None)[0]
+            step, share = np.linalg.lstsq(matrix, left, rcond=None)[0], 1.0
+            # What turns far is not reached in one step.
+            while share > SHORTEST and not np.sum(missed(amplitude + share * step) ** 2) < left @ left:
+                share *= 0.5
+            if share <= SHORTEST or share * np.abs(step).max() < ACCURACY * np.abs(amplitude).max():
+                break
+            amplitude = amplitude + share * step
+            left = missed(amplitude)
         return amplitude, np.linalg.lstsq(matrix, velocity.ravel() / sigma, rcond=None)[0]

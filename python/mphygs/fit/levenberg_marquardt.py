@@ -45,13 +45,15 @@ TOO_LITTLE = "an iteration brought too little"
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """belief: at the minimum; evaluation: there; history: cost after every iteration."""
+    """belief: at the minimum; evaluation: there; history: cost after every iteration; start: minimum of a
+    coarser grid that led here, where it is another than the one that the fit came with."""
 
     belief: Belief
     evaluation: Evaluation
     history: tuple[float, ...]
     converged: bool
     reason: str
+    start: Belief | None = None
 
 
 def _worth(evaluation: Evaluation, tolerance: float, relative: float) -> float:

@@ -15,6 +15,7 @@ from mphygs.compare.metrics import sequence_errors
 from mphygs.compare.noise import observe
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
+from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.run import DOCUMENT, Run, digest_of
 from mphygs.fit.schedule import check_spacing
 from mphygs.fit.start import starting_belief
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 def capture_of(run: Run) -> Capture:
     """The capture that a run was fitted to. Raises ValueError when it is no longer what was fitted."""
-    capture = _with_stages(load_capture(run.capture), run)
+    capture = _with_stages(well_labelled(load_capture(run.capture)), run)
     if digest_of(capture) != run.digest:
         raise ValueError(
             f"{run.capture}: has changed since {run.folder} was fitted; expected the same capture"
@@ -73,7 +74,7 @@ def experiment_of(
             _leave_out(experiment, name, np.array(left_out))
         return experiment, run.belief
     # Tracks of another capture are not among this run's stages.
-    capture = _with_stages(load_capture(other), run, tracked=False)
+    capture = _with_stages(well_labelled(load_capture(other)), run, tracked=False)
     check_spacing(capture, settings.spacing, where)
     parts = tuple(part.name for part in capture.parts)
     if parts != run.belief.parts:
@@ -140,11 +141,16 @@ def chosen_names(experiment: Experiment, wanted: Sequence[str]) -> list[str]:
 
 
 def errors_of(experiment: Experiment, compared: Mapping[str, Compared]) -> dict[str, dict]:
-    """Errors of compared sequences, over the stated sigma where the capture states one."""
+    """Errors of compared sequences, over the stated sigma where the capture states one that its tracks do not
+    deny."""
     sigmas = {}
     for name, item in compared.items():
         markers = experiment.capture.sequence(name).markers
-        sigmas[name] = markers.sigma if markers is not None and markers.sigma else item.observation.sigma
+        stated = markers is not None and markers.sigma
+        believed = stated and not item.observation.denied
+        sigmas[name] = (
+            float(np.hypot(markers.sigma, markers.offset)) if believed else item.observation.sigma
+        )
     return sequence_errors(compared, sigmas)
 
 

@@ -20,7 +20,7 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.views import Photograph, SequenceViews, rest_views_of, sequence_views_of
 from mphygs.compare.drawn import Drawn
-from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors, still
+from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import Placement, placement_of
 from mphygs.fit.stage_files import StageFolder, particles_of
@@ -161,22 +161,17 @@ class Pictured:
         used = [r for r in (recording.fit, recording.predict) if r[1] > r[0]]
         return fit, (min(a for a, _ in used), max(b for _, b in used))
 
-    def still(self, belief: Belief, name: str, *, count: int = 4) -> bytes:
-        """A PNG of a few frames of a sequence, the last one among them, over their predictions."""
-        frames = frames_of(self.ranges(name))
-        chosen = [frames[k] for k in np.linspace(0, len(frames) - 1, count + 1).round().astype(int)[1:]]
-        prediction = self.moved(name, belief, last=frames[-1] + 1)
-        return still(list(self.shown(name, prediction, chosen)))
-
     def errors(
         self,
         belief: Belief,
         *,
         names: Sequence[str] = (),
         films: Path | None = None,
+        see: Callable[[str, Shown], None] | None = None,
         report: Callable[[str], None] | None = None,
     ) -> dict[str, dict[str, dict[str, float] | None]]:
-        """Errors of the predicted pictures by sequence and range; films: folder for a video of each."""
+        """Errors of the predicted pictures by sequence and range; films: folder for a video of each; see: is
+        shown every frame of a sequence."""
         out = {}
         for name in self.names(names):
             fit, predict = self.ranges(name)
@@ -196,5 +191,7 @@ class Pictured:
                     found[shown.frame] = frame_metrics(shown)
                     if film is not None:
                         film.add(shown)
+                    if see is not None:
+                        see(name, shown)
             out[name] = range_errors(found, fit, predict)
         return out

@@ -11,6 +11,7 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
+from mphygs.compare.whitening import Whitener
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.feedback import Feedback
@@ -119,6 +120,10 @@ class Problem:
             return None
         return self.predictors[name].pulled_by(self.observations[name].position, self.gain)
 
+    def whitener(self, name: str) -> Whitener:
+        """That of the rows of a sequence's fitted frames."""
+        return self.observations[name].whitener(*self.ranges[name])
+
     def stable_substep(self, belief: Belief) -> float:
         """Shortest substep that any sequence needs [s]."""
         return min(self.predictors[name].stable_substep(belief) for name in self.ranges)
@@ -166,7 +171,7 @@ class Problem:
         for name, (first, last) in self.ranges.items():
             observation = self.observations[name]
             window = slice(first, last)
-            whitener = observation.whitener(first, last)
+            whitener = self.whitener(name)
             difference = np.nan_to_num(observation.position[window] - positions[name][window])
             residuals.append(whitener.whiten(difference))
             if jacobians is not None:

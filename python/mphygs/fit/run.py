@@ -189,6 +189,10 @@ def digest_of(capture: Capture) -> str:
             add(recording.start)
         if recording.markers is not None:
             add(recording.markers.at, recording.markers.position, recording.markers.sigma)
+            if recording.markers.scatter is not None:
+                add(recording.markers.scatter)
+            if recording.markers.offset:
+                add(recording.markers.offset)
             if recording.markers.spread is not None:
                 add(recording.markers.spread, recording.markers.memory, recording.markers.lasting)
     return hashed.hexdigest()

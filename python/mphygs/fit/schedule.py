@@ -10,6 +10,7 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.fit.levenberg_marquardt import Solution, minimise, told
+from mphygs.fit.other_minima import lowest_of, other_minima
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -308,14 +309,17 @@ def fit_belief(
     plan = plan_of(capture, settings.spacing, warm=warm) if plan is None else plan
     problems = {} if problems is None else problems
     solution = None
+
+    def problem_at(spacing: float) -> Problem:
+        if spacing not in problems:
+            problems[spacing] = Problem(capture, replace(settings, spacing=spacing), ranges, observations)
+        return problems[spacing].with_ranges(ranges)
+
     (earlier, misfit), last = before, belief if start_stage else None
     for number, stage in enumerate(plan):
         if number < start_stage:
             continue
-        if stage.spacing not in problems:
-            own = replace(settings, spacing=stage.spacing)
-            problems[stage.spacing] = Problem(capture, own, ranges, observations)
-        problem = problems[stage.spacing].with_ranges(ranges).narrowed(stage.share)
+        problem = problem_at(stage.spacing).narrowed(stage.share)
         if number == 0 and not warm:
             belief = find_scale(problem, belief, report)
 
@@ -328,16 +332,17 @@ def fit_belief(
         belief = simulable(problem, belief)
         if number and stage.spacing < plan[number - 1].spacing:
             belief = _brought_onward(problem, belief, misfit, tell)
-        solution = minimise(
-            problem,
-            belief,
-            iterations=stage.iterations,
-            report=tell,
-            relative_tolerance=stage.accuracy,
-            gross=stage.gross,
-            dwell=dwell,
-            least=stage.least,
-        )
+        given = {
+            "iterations": stage.iterations,
+            "relative_tolerance": stage.accuracy,
+            "gross": stage.gross,
+            "dwell": dwell,
+            "least": stage.least,
+        }
+        solution = minimise(problem, belief, report=tell, **given)
+        if number and stage.share == plan[number - 1].share and misfit < HOPELESS:
+            coarse = problem_at(plan[number - 1].spacing)
+            solution = lowest_of(problem, solution, other_minima(coarse, last), report, **given)
         belief = solution.belief
         earlier, last, misfit = last, belief, solution.evaluation.misfit
         problems[stage.spacing].predictors.update(problem.predictors)

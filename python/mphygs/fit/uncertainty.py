@@ -1,37 +1,100 @@
 """How sure a fit's numbers are: by the noise, by what the model leaves of it, and by the grid.
 
-The inverse of the normal matrix is the noise's share alone. Where a model leaves more than the noise, what it
-leaves counts as noise: the residual variance scales the covariance (Seber & Wild, "Nonlinear regression",
-1989, section 2.1.2). The grid bends numbers by what a finer one would still move them: its error falls with
-the square of the spacing, so the change from a coarser grid tells it (Richardson extrapolation).
+The inverse of the normal matrix is the noise's share alone. Where a model leaves more than the noise, what
+it leaves counts as noise: the residual variance scales the covariance (Seber & Wild, "Nonlinear
+regression", 1989, section 2.1.2), and what lasts in the residual, or is shared by markers, widens it
+(`mphygs.fit.lasting`).
+
+A grid bends numbers. Its error is told by the change from a coarser one (Richardson extrapolation). At the
+edge of a hold the stress is singular, and there, as where boundaries cut cells, no scheme without a graded
+grid is of its full order (Szabo & Babuska, "Finite element analysis", 1991, chapter 10): from the default
+grid to its neighbours predictions change as those of a first-order scheme do, and that is the order that is
+counted on. The change is told in two ways, which do not see the same: by how far the fit's numbers moved
+between its grids, and by how far an error of the size of the prediction's change, but of another course in
+time, would move them.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from mphygs.compare.allowance import modulated_directions
+from mphygs.compare.assess import MODULATIONS
+from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import covariance
-from mphygs.fit.problem import Evaluation
+from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 
+# Order of convergence that the error of a grid is extrapolated by.
+ORDER = 1.0
 
-def spread_of(evaluation: Evaluation, grid: np.ndarray | None = None) -> np.ndarray:
-    """Covariance of the free coordinates at a minimum, (P, P). grid: see `grid_change`."""
-    spread = covariance(evaluation) * max(evaluation.misfit, 1.0) ** 2
-    return spread if grid is None else spread + np.outer(grid, grid)
+
+def spread_of(
+    problem: Problem,
+    evaluation: Evaluation,
+    grid: np.ndarray | None = None,
+    change: np.ndarray | None = None,
+) -> np.ndarray:
+    """Covariance of the free coordinates at a minimum, (P, P).
+
+    grid: see `grid_change`; change: (N,) error of the grid in the measured rows, see `prediction_change`.
+    """
+    inverse = covariance(evaluation)
+    spread = inverse * max(evaluation.misfit, 1.0) ** 2 + widened_by_lasting(problem, evaluation, inverse)
+    if grid is not None:
+        spread = spread + np.outer(grid, grid)
+    if change is not None:
+        moved = grid_moves(problem, evaluation, change, inverse)
+        spread = spread + moved @ moved.T
+    return spread
+
+
+def prediction_change(evaluation: Evaluation, coarse: Evaluation, ratio: float) -> np.ndarray:
+    """(N,) error of the grid in the measured rows, from the prediction of the same belief on a coarser one.
+
+    ratio: of the spacings, above 1. Raises ValueError for other rows.
+    """
+    if coarse.data_rows != evaluation.data_rows:
+        raise ValueError(f"{coarse.data_rows} rows on the coarse grid; expected {evaluation.data_rows}")
+    rows = slice(evaluation.data_rows)
+    return (evaluation.residual[rows] - coarse.residual[rows]) * extrapolation(ratio)
+
+
+def grid_moves(
+    problem: Problem, evaluation: Evaluation, change: np.ndarray, inverse: np.ndarray
+) -> np.ndarray:
+    """(P, K) how far the coordinates would be moved by errors of the size of a grid's that drift in time.
+
+    change: (N,) error of the grid in the measured rows; inverse: (P, P) of the normal matrix.
+    """
+    moved = []
+    for name, rows in evaluation.rows.items():
+        if not np.any(change[rows]):
+            continue
+        whitener = problem.whitener(name)
+        part = problem.predictors[name].attachment.part[whitener.marker]
+        directions = modulated_directions(change[rows], part, whitener.frame, count=MODULATIONS)
+        moved.append(inverse @ (evaluation.jacobian[rows].T @ directions))
+    return np.concatenate(moved, axis=1) if moved else np.zeros((len(inverse), 0))
+
+
+def extrapolation(ratio: float) -> float:
+    """A grid's error over the change from a coarser one. Raises ValueError for a ratio of 1 or less."""
+    if not ratio > 1.0:
+        raise ValueError(f"ratio of spacings {ratio:g}; expected above 1")
+    return 1.0 / (ratio**ORDER - 1.0)
 
 
 def grid_change(coarse: Belief, fine: Belief, ratio: float) -> np.ndarray:
     """(P,) how far the free coordinates are from where an ever finer grid would lead: their change from a
-    coarser grid over ratio^2 - 1. ratio: of the spacings, above 1; what stood at a bound, or is new, says
+    coarser grid, extrapolated. ratio: of the spacings, above 1; what stood at a bound, or is new, says
     nothing. Raises ValueError for a ratio of 1 or less.
     """
-    if not ratio > 1.0:
-        raise ValueError(f"ratio of spacings {ratio:g}; expected above 1")
+    share = extrapolation(ratio)
     before = {p.key: p for p in coarse.free}
     return np.array(
         [
-            (p.coordinate - before[p.key].coordinate) / (ratio**2 - 1.0)
+            (p.coordinate - before[p.key].coordinate) * share
             if p.key in before and not (p.at_bound or before[p.key].at_bound)
             else 0.0
             for p in fine.free

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shlex
 import sys
@@ -10,27 +9,32 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import tyro
 
 from mphygs.capture.written import replace_file
 from mphygs.claim import claim_file
 from mphygs.command import Answer, CommonOptions, Console, plain, run
 from mphygs.compare.__main__ import comparison_document
-from mphygs.compare.assess import Compared
 from mphygs.compare.image_errors import joined
-from mphygs.compare.pictures import sequence_figure
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
 from mphygs.extend.__main__ import DOCUMENT as STEPS
-from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import chosen_names, experiment_of, pictured_of
 from mphygs.fit.run import Run, load_run
 from mphygs.fit.tables import parameters_of
-from mphygs.model.belief import Belief
-from mphygs.predict import predict_points, surface_points
-from mphygs.report.motion_data import motion_document
-from mphygs.report.page import Contents, page
+from mphygs.report.contents import Contents
+from mphygs.report.filmed import BUDGET as FILMED
+from mphygs.report.filmed import Filmed
+from mphygs.report.models import (
+    SEQUENCES,
+    TOTAL,
+    models_of,
+    motion_of,
+    scene_document,
+    vertices_for,
+)
+from mphygs.report.page import page
+from mphygs.report.skin import skin_of
 
 PROGRAM = "mphygs report"
 
@@ -65,61 +69,45 @@ def report(options: ReportOptions, console: Console) -> Answer:
     wanted = chosen_names(experiment, ())
     compared = experiment.compare(belief, spacing, names=wanted, refine=True, report=console.say)
     assessment = experiment.assess(compared)
-    motions, pictures = {}, {}
     told = None if diagnosis is None else diagnosis.get("missing_force")
     forces = load_samples(state.folder, wanted) if told else {}
-    for number, name in enumerate(wanted):
-        console.progress((number + 1) / (len(wanted) + 1), f"drawing {name}")
-        known = experiment.with_release(belief, name, spacing)
-        motions[name] = motion_of(experiment, known, name, state, forces.get(name))
-        pictures[name] = _picture(experiment, compared[name], name)
+    shown = sorted(wanted, key=lambda name: name not in state.ranges)[:SEQUENCES]
+    models = models_of(state, belief, steps)
+    skin = skin_of(experiment.capture.parts, vertices_for(len(shown)))
+    motions = {}
+    for number, name in enumerate(shown):
+        console.progress((number + 1) / (len(shown) + 1), f"drawing {name}")
+        motions[name], _ = motion_of(
+            experiment, models, name, state, skin, force=forces.get(name), budget=TOTAL // len(shown)
+        )
     comparison = comparison_document(experiment, compared, assessment)
     pictured = pictured_of(state, experiment)
+    films: dict[str, dict[str, object]] = {}
     if pictured is not None:
-        drawn = pictured.errors(belief, names=wanted, report=console.say)
+        seen = {name: Filmed(pictured.ranges(name)[0]) for name in pictured.names(wanted)}
+        drawn = pictured.errors(
+            belief, names=wanted, report=console.say, see=lambda name, one: seen[name].add(one)
+        )
         comparison["sequences"] = joined(comparison["sequences"], drawn)
-        for name in drawn:
-            pictures[f"{name}, video beside prediction"] = pictured.still(belief, name)
+        chosen = list(drawn)[:SEQUENCES]
+        films = {
+            name: seen[name].document(f"film-{k}", FILMED // len(chosen)) for k, name in enumerate(chosen)
+        }
     contents = Contents(
         run=state,
         capture=experiment.capture,
         parameters=plain(parameters),
         comparison=plain(comparison),
-        pictures=pictures,
-        motions=plain(motions),
+        scene=plain(scene_document(experiment, skin, motions)),
+        films=films,
         commands=commands_of(state),
         diagnosis=diagnosis,
         force=missing_force_text(told, state.capture, state.folder) if told else (),
         steps=steps,
+        hidden=[name for name in wanted if name not in shown],
     )
     replace_file(out, page(contents))
     return Answer({"run": str(state.folder), "report": str(out)}, f"report: {out}")
-
-
-def motion_of(
-    experiment: Experiment,
-    belief: Belief,
-    name: str,
-    state: Run,
-    force: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
-) -> dict[str, object]:
-    """One sequence for the viewer, over all its frames. force: see `motion_document`."""
-    recording = experiment.capture.sequence(name)
-    surface = surface_points(experiment.capture)
-    prediction, markers = predict_points(experiment, belief, recording, surface)
-    measured = np.full((recording.frames, markers, 3), np.nan)
-    if recording.markers is not None:
-        measured = experiment.observations[name].position
-    return motion_document(
-        fps=recording.fps,
-        measured=measured,
-        predicted=prediction.position[:, :markers],
-        surface=prediction.position[:, markers:],
-        surface_part=surface.part,
-        normals=surface.normal,
-        fit=state.ranges.get(name, (0, 0)),
-        force=force,
-    )
 
 
 def commands_of(state: Run) -> list[str]:
@@ -143,21 +131,6 @@ def commands_of(state: Run) -> list[str]:
     lines += [f"mphygs compare {folder}", f"mphygs report {folder}"]
     plugin = f" --plugin {shlex.quote(str(options['plugin']))}" if options.get("plugin") else ""
     return [lines[0], *(line + plugin for line in lines[1:])]
-
-
-def _picture(experiment: Experiment, compared: Compared, name: str) -> bytes:
-    recording = experiment.capture.sequence(name)
-    figure = sequence_figure(
-        compared,
-        name=name,
-        fps=recording.fps,
-        at=recording.markers.at,
-        parts=[part.name for part in experiment.capture.parts],
-        labels=recording.markers.names,
-    )
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def _optional(path: Path, *keys: str) -> dict | None:

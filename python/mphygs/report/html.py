@@ -1,30 +1,41 @@
-"""Small pieces of HTML: tables, pictures, the viewer, and charts as SVG."""
+"""Small pieces of HTML: tables, data for scripts, and the drawing library, packed."""
 
 from __future__ import annotations
 
 import base64
+import gzip
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import cache
 from html import escape
 from importlib import resources
 
 CONTROLS = """<div class="controls">
 <select data-role="sequence" aria-label="sequence"></select>
 <button data-role="play" type="button">play</button>
-<input data-role="time" type="range" min="0" max="0" value="0" aria-label="time">
-<span data-role="label"></span>
-<label><input data-role="surface" type="checkbox" checked> surface</label>
-<label><input data-role="measured" type="checkbox" checked> measured (rings)</label>
-<label><input data-role="predicted" type="checkbox" checked> predicted (dots)</label>
+<input data-role="time" type="range" min="0" max="0" value="0" aria-label="frame">
+</div><div class="controls">
+<span class="switch" data-role="shape" role="radiogroup" aria-label="shape">
+<label><input type="radio" name="shape" value="predicted" checked> predicted</label>
+<label><input type="radio" name="shape" value="measured"> measured</label>
+<label><input type="radio" name="shape" value="both"> flip by itself</label></span>
+<span class="switch" data-role="model" role="radiogroup" aria-label="model"></span>
+<label><select data-role="paint" aria-label="paint"><option value="error">paint the error</option>
+<option value="part">paint the parts</option></select></label>
+<label><input data-role="points" type="checkbox" checked> markers</label>
 <label data-role="force-label" hidden><input data-role="force" type="checkbox" checked> missing force</label>
-<label><input data-role="turn" type="checkbox"> turn</label>
-</div>"""
+<button data-role="home" type="button">view from the side</button>
+</div><p class="label" data-role="label"></p>"""
 
 
 def asset(name: str) -> str:
     """The text of a file that belongs to this package."""
     return resources.files("mphygs.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def number(value: float) -> str:
+    """Four digits."""
+    return f"{value:.4g}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], classes: Sequence[str] = ()) -> str:
@@ -34,17 +45,21 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]], classes: Sequen
         kind = f' class="{classes[index]}"' if classes and classes[index] else ""
         lines.append(f"<tr{kind}>")
         for cell in row:
-            number = isinstance(cell, (int, float)) and not isinstance(cell, bool)
-            text = f"{cell:.4g}" if isinstance(cell, float) else str(cell)
-            lines.append(f'<td class="number">{escape(text)}</td>' if number else f"<td>{escape(text)}</td>")
+            numeric = isinstance(cell, (int, float)) and not isinstance(cell, bool)
+            text = number(cell) if isinstance(cell, float) else str(cell)
+            lines.append(f'<td class="number">{escape(text)}</td>' if numeric else f"<td>{escape(text)}</td>")
         lines.append("</tr>")
     return "\n".join([*lines, "</tbody></table>"])
 
 
-def picture(png: bytes, description: str) -> str:
-    """A picture inside the page."""
-    code = base64.b64encode(png).decode("ascii")
-    return f'<img src="data:image/png;base64,{code}" alt="{escape(description)}">'
+def folded(summary: str, content: str) -> str:
+    """What is shown once it is asked for, and in print."""
+    return f"<details><summary>{escape(summary)}</summary>{content}</details>"
+
+
+def chart(identifier: str, description: str) -> str:
+    """The place of a chart."""
+    return f'<div class="chart" id="{identifier}" role="img" aria-label="{escape(description)}"></div>'
 
 
 def script_data(value: object) -> str:
@@ -52,56 +67,23 @@ def script_data(value: object) -> str:
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
-def viewer(motions: Mapping[str, object]) -> str:
-    """The turning view with its time slider; motions: sequence -> what `motion_document` made."""
-    start = f'mphygsViewer(document.getElementById("viewer"), {script_data({"sequences": motions})})'
-    return f"""<div class="viewer" id="viewer">
-<canvas data-role="canvas"></canvas>
-{CONTROLS}
-</div>
-<script>{asset("viewer.js")}</script>
-<script>window.viewer = {start};</script>"""
+@cache
+def library() -> str:
+    """plotly.js (MIT licence) as gzip in base64: a page unpacks it without a network."""
+    content = resources.files("plotly").joinpath("package_data/plotly.min.js").read_bytes()
+    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
 
 
-def falling_errors(names: Sequence[str], series: Mapping[str, Sequence[float | None]]) -> str:
-    """Errors over steps as SVG, logarithmic above the noise.
+def scene() -> str:
+    """The place of the object in 3D, of the chart by marker and frame, and of the curves."""
+    return f"""<div class="scene" id="scene"><div class="canvas" data-role="canvas"></div>
+{CONTROLS}</div>"""
 
-    names: of the steps; series: label -> rms over sigma per step, None where there is none.
-    """
-    values = [v for line in series.values() for v in line if v is not None and v > 0.0]
-    if not values:
-        return ""
-    low, high = min(0.8, *values), max(1.25, *values) * 1.1
-    width, height, left, bottom = 640, 260, 56, 44
-    colours = ("#d1495b", "#2e6f95", "#4a7c59", "#8a5a9e", "#b07d3c", "#555555")
 
-    def across(step: int) -> float:
-        return left + (width - left - 170) * (step / max(len(names) - 1, 1))
-
-    def up(value: float) -> float:
-        return 12 + (height - bottom - 12) * (1 - math.log(value / low) / math.log(high / low))
-
-    parts = [f'<svg id="falling" viewBox="0 0 {width} {height}" width="{width}" role="img" font-size="12">']
-    ends = f'x1="{left}" x2="{width - 160}" y1="{up(1):.1f}" y2="{up(1):.1f}"'
-    parts.append(f'<line {ends} stroke="#999" stroke-dasharray="4"/>')
-    parts.append(f'<text x="4" y="{up(1) + 4:.1f}" fill="#666">noise</text>')
-    for step, name in enumerate(names):
-        parts.append(
-            f'<text x="{across(step):.1f}" y="{height - 20}" text-anchor="middle">{escape(name)}</text>'
-        )
-    for line, colour in zip(series.values(), colours * len(series), strict=False):
-        points = [(across(k), up(v)) for k, v in enumerate(line) if v is not None and v > 0.0]
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        parts.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"/>')
-        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>' for x, y in points]
-        shown = [(k, v) for k, v in enumerate(line) if v is not None]
-        parts += [
-            f'<text x="{across(k) + 6:.1f}" y="{up(v) - 6:.1f}" fill="{colour}">{v:.2f}</text>'
-            for k, v in shown
-            if v > 0
-        ]
-    for row, (label, colour) in enumerate(zip(series, colours * len(series), strict=False)):
-        y = 24 + 18 * row
-        parts.append(f'<rect x="{width - 150}" y="{y - 9}" width="10" height="10" fill="{colour}"/>')
-        parts.append(f'<text x="{width - 134}" y="{y}">{escape(label)}</text>')
-    return "\n".join([*parts, "</svg>"])
+def scripts(data: object, *more: str) -> str:
+    """What draws a page. data: {"charts": figures, "scene", "films"}; more: files that follow."""
+    files = ("page.js", "scene.js", "moments.js", "wipe.js", *more)
+    return f"""<script type="text/plain" id="library">{library()}</script>
+<script type="application/json" id="data">{script_data(data)}</script>
+<script>{"".join(asset(name) for name in files)}
+mphygsPage();</script>"""

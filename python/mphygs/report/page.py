@@ -1,87 +1,211 @@
-"""The page: what was measured, fitted and predicted, where it fails, what is missing, and how it was made."""
+"""The page: the verdict, how the error fell, where it is, what it is made of, and what to do next."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from html import escape
 
-from mphygs.capture.format import Capture
-from mphygs.compare.assess import in_words
-from mphygs.diagnose.document import seen_from, spot_lines
-from mphygs.fit.run import Run
-from mphygs.report.html import asset, falling_errors, picture, table, viewer
-
-RANKED = 10
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Contents:
-    """All that a page tells.
-
-    parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run;
-    pictures: .png by sequence; motions: for the viewer by sequence; commands: that made it; force: what is
-    said of the missing force, line by line.
-    """
-
-    run: Run
-    capture: Capture
-    parameters: Mapping[str, Mapping[str, object]]
-    comparison: Mapping[str, object]
-    pictures: Mapping[str, bytes]
-    motions: Mapping[str, object]
-    commands: Sequence[str]
-    diagnosis: Mapping[str, object] | None = None
-    steps: Mapping[str, object] | None = None
-    force: Sequence[str] = ()
+from mphygs.report import charts
+from mphygs.report.contents import Contents
+from mphygs.report.evidence import parameters, ranking
+from mphygs.report.filmed import wipe
+from mphygs.report.html import asset, chart, folded, scene, scripts, table
+from mphygs.report.verdict import concluded, sentence, tiles
 
 
 def page(contents: Contents) -> str:
     """One self-contained HTML document."""
-    name = escape(contents.capture.name)
+    figures: list[dict[str, object]] = []
     sections = (
-        ("measured", "What was measured", _measured(contents)),
-        ("fitted", "What was fitted", _fitted(contents)),
-        ("prediction", "Prediction beside measurement", _prediction(contents)),
-        ("where", "Where and when it fails", _where(contents)),
-        ("ranking", "What could be missing", _ranking(contents)),
-        ("steps", "The error, step by step", _steps(contents)),
+        ("fall", "How the error fell", _fall(contents, figures)),
+        ("object", "The object", _object(contents)),
+        ("moments", "Which marker, which frame", _moments(contents)),
+        ("ranking", "What could be missing", ranking(contents, figures)),
+        ("parameters", "The numbers found", parameters(contents, figures)),
+        ("budget", "Where the error comes from", _budget(contents, figures)),
         ("force", "The missing force", _force(contents)),
+        ("next", "What to do next", _next(contents)),
+        ("measured", "What was measured", _measured(contents)),
         ("commands", "The commands that made it", f"<pre>{escape(chr(10).join(contents.commands))}</pre>"),
     )
     body = "\n".join(
-        f'<section id="{key}"><h2>{title}</h2>\n{text}</section>' for key, title, text in sections
+        f'<section id="{key}"><h2>{title}</h2>\n{text}</section>' for key, title, text in sections if text
     )
+    data = {"charts": figures, "scene": contents.scene, "films": list(contents.films.values())}
+    head = f"<h1>{escape(contents.capture.name)}</h1>\n{_verdict(contents)}\n"
+    return document(contents.capture.name, head + body, data)
+
+
+def document(name: str, body: str, data: object, *more: str) -> str:
+    """A page around its body. data, more: see `scripts`."""
     return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>mphygs: {name}</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
+<html lang="en"><head><meta charset="utf-8"><title>mphygs: {escape(name)}</title>
+<link rel="icon" href="data:,"><meta name="viewport" content="width=device-width, initial-scale=1">
 <style>{asset("style.css")}</style></head><body>
-<h1>{name}</h1>
-{_verdict(contents)}
+<p id="failed" class="verdict" hidden>Charts cannot be drawn in this browser (it takes WebGL and
+DecompressionStream: any of 2023 or later). Tables and text are complete without them.</p>
 {body}
+{scripts(data, *more)}
 </body></html>
 """
 
 
 def _verdict(contents: Contents) -> str:
-    comparison = contents.comparison
-    noise = in_words(comparison["adequate"], comparison["p_value"])
-    text = f"The misfit of this model is {noise} (p = {comparison['p_value']:.2g})."
-    kind = "adequate" if comparison["adequate"] else "unknown"
-    for found in (contents.steps, contents.diagnosis):
-        if found is not None and found.get("verdict"):
-            names = ", ".join(found.get("effects", ())) or "none"
-            text += f" Verdict: {found['verdict']}; effects: {names}."
-            kind = found["verdict"]
-            break
-    return f'<p class="verdict {escape(kind)}" id="verdict">{escape(text)}</p>'
+    known = contents.comparison, contents.steps, contents.diagnosis
+    verdict, effects = concluded(*known)
+    text = sentence(contents.capture.name, *known)
+    small = f"Verdict: {verdict}; effects: {', '.join(effects) or 'none'}."
+    numbers = "".join(
+        f'<div class="tile"><b>{escape(value)}</b><span>{escape(words)}</span></div>'
+        for value, words in tiles(contents.comparison, contents.steps)
+    )
+    return (
+        f'<p class="verdict {escape(verdict.replace(" ", "-"))}" id="verdict">{escape(text)}<br>'
+        f'<span class="quiet">{escape(small)}</span></p><div class="tiles">{numbers}</div>'
+    )
+
+
+def _fall(contents: Contents, figures: list) -> str:
+    told = contents.steps["steps"] if contents.steps is not None else []
+    if told:
+        titles = [charts.title_of(step, not k) for k, step in enumerate(told)]
+        sequences = [step["sequences"] for step in told]
+    else:
+        titles = [", ".join(contents.run.belief.effects) or "elasticity alone"]
+        sequences = [contents.comparison["sequences"]]
+    figures.append(charts.fall_chart(titles, sequences, contents.comparison["budget"]))
+    rows = []
+    for title, errors in zip(titles, sequences, strict=True):
+        rows += [[title, *row] for row in _error_rows(errors)]
+    head = ["model", "sequence", "frames", "rms mm", "max mm", "rms / sigma", "points"]
+    quiet = "" if len(told) > 1 else '<p class="quiet">One model so far: extend or discover add steps.</p>'
+    drawn = [
+        [name, label, error["psnr"], 100 * error["iou"], error["chamfer_px"]]
+        for name, ranges in contents.comparison["sequences"].items()
+        for label, error in ranges.items()
+        if error is not None and "psnr" in error
+    ]
+    pictures = table(["sequence", "frames", "PSNR dB", "IoU %", "chamfer px"], drawn) if drawn else ""
+    words = "1 is the noise alone; a line that falls for unseen frames as for fitted ones is no bent curve."
+    return (
+        f'<p class="quiet">{words}</p>{quiet}{chart("chart-fall", "errors by model")}'
+        + folded("the same as a table", table(head, rows))
+        + pictures
+    )
+
+
+def _error_rows(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]]) -> list[list[object]]:
+    return [
+        [name, charts.RANGES[label][0], 1e3 * e["rms"], 1e3 * e["max"], e["rms_over_sigma"], e["count"]]
+        for name, ranges in sequences.items()
+        for label, e in ranges.items()
+        if e is not None and label in charts.RANGES and e["rms"] is not None
+    ]
+
+
+def _object(contents: Contents) -> str:
+    words = (
+        "Painted is how far measured is from predicted, between markers as the nearest ones have it; the "
+        "measured shape is the predicted one carried to the markers."
+    )
+    left = f" Not shown for lack of room: {', '.join(contents.hidden)}." if contents.hidden else ""
+    films = "".join(
+        wipe(str(film["id"]), f"{escape(name)}: video | rendering") for name, film in contents.films.items()
+    )
+    return f'<p class="quiet">{escape(words + left)}</p>{scene()}<div class="films">{films}</div>'
+
+
+def _moments(contents: Contents) -> str:
+    words = "Of the sequence chosen above; a click goes to its frame. The dotted line ends what was fitted."
+    return (
+        f'<p class="quiet">{words}</p>{chart("chart-heat", "error by marker and frame")}'
+        f"{chart('chart-curves', 'two markers over time')}{_when(contents.comparison)}"
+    )
+
+
+def _when(comparison: Mapping[str, object]) -> str:
+    if not comparison["where"] and not comparison["when"]:
+        return "<p>Nowhere and never more than noise.</p>"
+    where = [
+        [entry["part"], ", ".join(f"{1e3 * x:.1f}" for x in entry["center"]), 1e3 * entry["rms"]]
+        for entry in comparison["where"]
+    ]
+    when = [
+        [entry.get("sequence", ""), f"{entry['frames'][0]} to {entry['frames'][1]}", 1e3 * entry["rms"]]
+        for entry in comparison["when"][:12]
+    ]
+    return folded(
+        "parts and frames whose error is more than noise",
+        table(["part", "centre mm", "rms mm beyond noise"], where)
+        + table(["sequence", "frames", "rms mm beyond noise"], when),
+    )
+
+
+def _budget(contents: Contents, figures: list) -> str:
+    budget = contents.comparison["budget"]
+    figures.append(charts.budget_chart(budget))
+    shares = {"noise": "noise", "discretisation": "grid", "physics": "model"}
+    rows = [[shares[name], 1e3 * share] for name, share in budget.items()]
+    words = "The shares add in squares; the grid's is what a finer one would change and a refit not absorb."
+    note = f'<p class="quiet">{words}</p>'
+    return (
+        note
+        + chart("chart-budget", "shares of the error")
+        + folded("in mm", table(["share", "rms mm"], rows))
+    )
+
+
+def _force(contents: Contents) -> str:
+    found = None if contents.diagnosis is None else contents.diagnosis.get("missing_force")
+    if not found:
+        return ""
+    said = f"<pre>{escape(chr(10).join(contents.force))}</pre>" if contents.force else ""
+    where = [[entry["part"], entry["rms"], entry["share"]] for entry in found["where"]]
+    when = [
+        [entry["sequence"], f"{entry['frames'][0]} to {entry['frames'][1] - 1}", entry["rms"]]
+        for entry in found["when"]
+    ]
+    terms = [
+        [term["expression"], term["coefficient"], term["std"], term["unit"], term["stability"]]
+        for term in found["terms"]
+    ]
+    pieces = [said, "<p>Arrows on the object above show it over time, on the fitted frames.</p>"]
+    pieces.append(table(["part", "rms N/kg", "share of the square"], where))
+    pieces.append(table(["sequence", "frames with half of the square", "rms N/kg"], when))
+    if terms:
+        head = ["term", "coefficient", "standard error", "unit", "chosen in this share of the resamples"]
+        pieces.append(table(head, terms))
+    return "\n".join(pieces)
+
+
+def _next(contents: Contents) -> str:
+    lines = [str(contents.diagnosis["advice"])] if contents.diagnosis is not None else []
+    steps = contents.steps or {}
+    told = steps.get("steps") or [{}]
+    concluded_effects = list(steps.get("effects") or ())
+    if concluded_effects and len(told) > 1 and contents.comparison["adequate"]:
+        lines = [f"{', '.join(concluded_effects)} is in this model, and the error is at its floor."]
+    lines += [f"Warning: {line}." for line in steps.get("warnings") or ()]
+    for step in told:
+        if step.get("ties"):
+            lines.append(
+                f"The motions recorded do not tell {', '.join(step['added'])} from {', '.join(step['ties'])}"
+                ": record one with another amplitude, frequency or direction of gravity, and fit both."
+            )
+    loose = [key for key, entry in contents.parameters.items() if not entry["determined"]]
+    if loose:
+        lines.append(f"Not determined by what was recorded: {', '.join(loose)}.")
+    if contents.diagnosis is None and not contents.comparison["adequate"]:
+        lines.append(f"Ask what is missing: mphygs diagnose {contents.run.folder}")
+    if not lines:
+        lines.append("Nothing: the error is noise and the grid's share.")
+    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def _measured(contents: Contents) -> str:
-    capture = contents.capture
-    parts = [[part.name, 1e6 * part.volume] for part in capture.parts]
+    parts = [[part.name, 1e6 * part.volume] for part in contents.capture.parts]
     rows = []
-    for recording in capture.sequences:
+    for recording in contents.capture.sequences:
         markers = recording.markers
         rows.append(
             [
@@ -97,150 +221,3 @@ def _measured(contents: Contents) -> str:
         )
     head = ["sequence", "frames", "per s", "markers", "sigma mm", "fit", "predict", "release"]
     return table(["part", "volume cm³"], parts) + table(head, rows)
-
-
-def _fitted(contents: Contents) -> str:
-    rows, classes = [], []
-    for key, entry in contents.parameters.items():
-        remark = str(entry.get("note", ""))
-        if not entry["determined"]:
-            remark = f"not determined: {remark}"
-        std = entry["std"]
-        rows.append([key, entry["value"], std if std is not None else "unbounded", entry["unit"], remark])
-        classes.append("" if entry["determined"] else "undetermined")
-    run = contents.run
-    used = ", ".join(f"{name} frames {a} to {b}" for name, (a, b) in run.ranges.items())
-    effects = ", ".join(run.belief.effects) or "none"
-    facts = (
-        f"<p>{escape(run.belief.law)}, prestress {escape(run.belief.prestress)}, effects: {escape(effects)}; "
-        f"grid {1e3 * run.settings.spacing:.3g} mm, {escape(run.transfer)}; fitted on {escape(used)}.</p>"
-    )
-    return facts + table(["parameter", "value", "standard error", "unit", ""], rows, classes)
-
-
-def _errors(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]]) -> str:
-    told = [
-        (name, label, error)
-        for name, ranges in sequences.items()
-        for label, error in ranges.items()
-        if error is not None
-    ]
-    rows = [
-        [name, label, 1e3 * error["rms"], 1e3 * error["max"], error["rms_over_sigma"], error["count"]]
-        for name, label, error in told
-        if error["rms"] is not None
-    ]
-    out = table(["sequence", "frames", "rms mm", "max mm", "rms / sigma", "points"], rows)
-    drawn = [
-        [name, label, error["psnr"], 100 * error["iou"], error["chamfer_px"]]
-        for name, label, error in told
-        if "psnr" in error
-    ]
-    return out + (table(["sequence", "frames", "PSNR dB", "IoU %", "chamfer px"], drawn) if drawn else "")
-
-
-def _prediction(contents: Contents) -> str:
-    pieces = [_errors(contents.comparison["sequences"]), viewer(contents.motions)]
-    pieces += [picture(png, f"{name}: measured and predicted") for name, png in contents.pictures.items()]
-    return "\n".join(pieces)
-
-
-def _where(contents: Contents) -> str:
-    comparison = contents.comparison
-    budget = table(["share", "rms mm"], [[name, 1e3 * share] for name, share in comparison["budget"].items()])
-    if not comparison["where"] and not comparison["when"]:
-        return "<p>Nowhere and never more than noise.</p>" + budget
-    where = [
-        [entry["part"], ", ".join(f"{1e3 * x:.1f}" for x in entry["center"]), 1e3 * entry["rms"]]
-        for entry in comparison["where"]
-    ]
-    when = [
-        [entry.get("sequence", ""), f"{entry['frames'][0]} to {entry['frames'][1]}", 1e3 * entry["rms"]]
-        for entry in comparison["when"][:12]
-    ]
-    return (
-        budget
-        + table(["part", "centre mm", "rms mm beyond noise"], where)
-        + table(["sequence", "frames", "rms mm beyond noise"], when)
-    )
-
-
-def _ranking(contents: Contents) -> str:
-    found = contents.diagnosis
-    if found is None:
-        return f'<p class="quiet">Not diagnosed yet: mphygs diagnose {escape(str(contents.run.folder))}</p>'
-    rows = []
-    for entry in found["ranking"][:RANKED]:
-        estimate = ", ".join(f"{key} {value:.4g}" for key, value in entry["estimate"].items())
-        reason = entry.get("reason") or ", ".join(entry["confounded_with"])
-        expected = entry["expected_rms"]
-        rows.append(
-            [
-                entry.get("way", entry["effect"]),
-                entry["kind"],
-                float(entry["statistic"]),
-                float(entry["p_value"]),
-                "" if expected is None else 1e3 * expected,
-                estimate,
-                seen_from(entry),
-                reason,
-            ]
-        )
-    head = [
-        "candidate",
-        "kind",
-        "chi² falls by",
-        "p",
-        "rms then, mm",
-        "estimate",
-        "seen from",
-        "not told apart from, or why not",
-    ]
-    spots = "\n".join(spot_lines(found)[1:])
-    told = f"<pre>{escape(spots)}</pre>" if spots else ""
-    return table(head, rows) + told + f"<p>{escape(str(found['advice']))}</p>"
-
-
-def _steps(contents: Contents) -> str:
-    found = contents.steps
-    if found is None:
-        return '<p class="quiet">One model so far: extend or discover add steps.</p>'
-    names, series = [], {}
-    for step in found["steps"]:
-        names.append("+ " + ", ".join(step["added"]) if step["added"] else "before")
-        for sequence, ranges in step["sequences"].items():
-            for label in ("fit", "predict"):
-                if ranges[label] is not None:
-                    series.setdefault(f"{sequence}, {label}", []).append(ranges[label]["rms_over_sigma"])
-    rows = []
-    for step, name in zip(found["steps"], names, strict=True):
-        for sequence, ranges in step["sequences"].items():
-            for label in ("fit", "predict"):
-                if ranges[label] is not None:
-                    error = ranges[label]
-                    rows.append([name, sequence, label, 1e3 * error["rms"], error["rms_over_sigma"]])
-    chart = falling_errors(names, series)
-    return chart + table(["step", "sequence", "frames", "rms mm", "rms / sigma"], rows)
-
-
-def _force(contents: Contents) -> str:
-    found = None if contents.diagnosis is None else contents.diagnosis.get("missing_force")
-    if not found:
-        return '<p class="quiet">Not computed: it is where named effects do not explain the misfit.</p>'
-    said = f"<pre>{escape(chr(10).join(contents.force))}</pre>" if contents.force else ""
-    where = [[entry["part"], entry["rms"], entry["share"]] for entry in found["where"]]
-    when = [
-        [entry["sequence"], f"{entry['frames'][0]} to {entry['frames'][1] - 1}", entry["rms"]]
-        for entry in found["when"]
-    ]
-    terms = [
-        [term["expression"], term["coefficient"], term["std"], term["unit"], term["stability"]]
-        for term in found["terms"]
-    ]
-    pieces = [said, "<p>Arrows in the view above show it over time, on the fitted frames.</p>"]
-    pieces.append(table(["part", "rms N/kg", "share of the square"], where))
-    pieces.append(table(["sequence", "frames with half of the square", "rms N/kg"], when))
-    if terms:
-        head = ["term", "coefficient", "standard error", "unit", "chosen in this share of the resamples"]
-        pieces.append(table(head, terms))
-    return "\n".join(pieces)

@@ -1,0 +1,1 @@
+"""Faults of a measurement that its tracks show before anything is fitted, one file each."""

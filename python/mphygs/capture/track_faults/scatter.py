@@ -1,0 +1,127 @@
+"""How much each marker scatters of its own: what neither the other markers do nor a slow motion.
+
+A body moves in few ways at once: the singular vectors over time of the other markers hold its motion. What
+they leave of a marker is its noise, and its third differences, which a slow rest of motion hardly has, tell
+how large that is (variance by differences: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986; noise
+beside a low rank: Gavish and Donoho, IEEE Transactions on Information Theory 60, 2014).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+ORDER = 3
+# Fewest frames and markers that tell noise from motion; longest stretch of frames that is seen at once.
+FRAMES, MARKERS, STRETCH = 12, 6, 120
+# Parts that markers are dealt to: each one's motion is told by the others.
+GROUPS = 4
+# A marker seen less often than this tells nothing.
+SEEN = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """sigma: (M,) [m] noise of a coordinate, NaN where not known; degrees: (M,) degrees of freedom behind it;
+    whole: (M,) [m] all that the others leave; kurtosis: of what they leave, beyond a normal number's."""
+
+    sigma: np.ndarray
+    degrees: np.ndarray
+    whole: np.ndarray
+    kurtosis: float
+
+    @property
+    def least(self) -> np.ndarray:
+        """(M,) [m] noise at most: a fast rest of motion has larger differences than noise has, and neither
+        sum is less than noise makes."""
+        return np.minimum(self.sigma, self.whole)
+
+    @property
+    def white(self) -> np.ndarray:
+        """(M,) bool: known, and all that the others leave is new in every frame."""
+        with np.errstate(invalid="ignore"):
+            return np.isfinite(self.sigma) & (self.sigma > 0.0) & (self.whole < np.sqrt(2.0) * self.sigma)
+
+
+def scatter(position: np.ndarray) -> Scatter | None:
+    """Of tracks (T, M, 3) [m], NaN where not measured; None where they are too few or too short."""
+    frames, count = position.shape[:2]
+    seen = np.isfinite(position).all(axis=2)
+    used = np.flatnonzero(seen.mean(axis=0) >= SEEN)
+    if frames < FRAMES or len(used) < MARKERS:
+        return None
+    filled = filled_in(position[:, used])
+    blocks = max(1, round(frames / STRETCH))
+    edges = np.linspace(0, frames, blocks + 1).astype(int)
+    sums = np.zeros((5, len(used)))
+    moments = np.zeros(3)
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for group in range(min(GROUPS, len(used))):
+            mine = np.arange(group, len(used), min(GROUPS, len(used)))
+            others = np.setdiff1d(np.arange(len(used)), mine)
+            course = filled[first:last]
+            basis = motion_basis(course[:, others])
+            own, moment = _left(course[:, mine], seen[first:last, used[mine]], basis)
+            sums[:, mine] += own
+            moments += moment
+    out = np.full((3, count), np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        out[1, used] = sums[2]
+        out[2, used] = np.sqrt(sums[3] / sums[4])
+        out[0, used] = np.sqrt(sums[0] / sums[1])
+    kurtosis = float(max(moments[1] * moments[2] / max(moments[0] ** 2, 1e-300) - 3.0, 0.0))
+    return Scatter(out[0], out[1], out[2], kurtosis)
+
+
+def filled_in(position: np.ndarray) -> np.ndarray:
+    """Tracks with their gaps filled by straight lines."""
+    seen = np.isfinite(position).all(axis=2)
+    filled, times = position.copy(), np.arange(len(position))
+    for marker in np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)):
+        known = np.flatnonzero(seen[:, marker])
+        for c in range(3):
+            filled[:, marker, c] = np.interp(times, known, position[known, marker, c])
+    return filled
+
+
+def motion_basis(course: np.ndarray) -> np.ndarray:
+    """(T, R + 1) orthonormal courses over time that hold the motion of tracks (T, M, 3), a constant among
+    them: singular values above the optimal threshold for unknown noise."""
+    frames = len(course)
+    matrix = course.reshape(frames, -1)
+    matrix = matrix - matrix.mean(axis=0)
+    vectors, values, _ = np.linalg.svd(matrix, full_matrices=False)
+    ratio = min(matrix.shape) / max(matrix.shape)
+    threshold = 0.56 * ratio**3 - 0.95 * ratio**2 + 1.82 * ratio + 1.43
+    rank = int((values > threshold * np.median(values)).sum())
+    rank = min(rank, frames // 3)
+    return np.hstack([np.full((frames, 1), frames**-0.5), vectors[:, :rank]])
+
+
+def _left(course: np.ndarray, seen: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of some markers: squares of third differences, what unit noise would have of them, their degrees of
+    freedom, squares of all that is left and what unit noise would have of those, (5, M); and sums for the
+    kurtosis of what is left: of squares, of fourth powers and how many."""
+    frames = len(course)
+    projector = np.eye(frames) - basis @ basis.T
+    difference = np.diff(np.eye(frames), n=ORDER, axis=0) @ projector
+    left = np.tensordot(projector, course, axes=1)
+    rough = np.tensordot(difference, course, axes=1)
+    run = np.lib.stride_tricks.sliding_window_view(seen, ORDER + 1, axis=0).all(axis=-1)
+    norms, own = (difference**2).sum(axis=1), np.diag(projector)
+    # Differences that follow each other hang together: so many are worth one.
+    worth = float((norms.sum()) ** 2 / ((difference @ difference.T) ** 2).sum()) / len(norms)
+    sums = np.stack(
+        [
+            (np.where(run[..., None], rough, 0.0) ** 2).sum(axis=(0, 2)),
+            3.0 * (run * norms[:, None]).sum(axis=0),
+            3.0 * worth * run.sum(axis=0),
+            (np.where(seen[..., None], left, 0.0) ** 2).sum(axis=(0, 2)),
+            3.0 * (seen * own[:, None]).sum(axis=0),
+        ]
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = left / np.sqrt(sums[3] / sums[4])[:, None]
+    unit = np.where(seen[..., None] & np.isfinite(unit), unit, 0.0)
+    return sums, np.array([(unit**2).sum(), (unit**4).sum(), 3.0 * seen.sum()])

@@ -1,0 +1,86 @@
+"""Other minima of a fit: a stiff part on a soft one can move markers much as the other way round does.
+
+They are looked for on the coarse grid, where that is cheap, and decided between on the fine one: the coarse
+grid's own error can be more than what lies between two of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.problem import Problem
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
+
+# Factor on the stiffness of one part after the other from where another minimum is looked for.
+APART = 2.0
+# Iterations from each of these starts, and the share of the cost that they may stop at.
+ITERATIONS, ACCURACY = 6, 1e-3
+# A minimum whose cost is so many times the lowest on the coarse grid is none on the fine one.
+NEAR = 1.1
+# Minima are the same where no logarithm of a stiffness differs by more.
+SAME = 0.1
+
+
+def other_minima(problem: Problem, belief: Belief) -> list[Belief]:
+    """Minima other than that of a belief, reached from where one part is softer or stiffer than there.
+
+    problem: on the coarse grid. One free stiffness has no other part's to be taken for: its scale has been
+    looked for already.
+    """
+    moduli = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
+    if len(moduli) < 2:
+        return []
+    least = problem.evaluate(belief, jacobian=False).cost
+    found: list[tuple[float, Belief]] = []
+    for trial in _starts(belief, moduli):
+        try:
+            other = minimise(problem, trial, iterations=ITERATIONS, relative_tolerance=ACCURACY)
+        except SimulationError:
+            continue
+        if not any(_same(other.belief, known, moduli) for known in (belief, *(b for _, b in found))):
+            found.append((other.evaluation.cost, other.belief))
+    lowest = min([least, *(cost for cost, _ in found)])
+    return [b for cost, b in sorted(found, key=lambda item: item[0]) if cost < NEAR * lowest]
+
+
+def lowest_of(
+    problem: Problem,
+    found: Solution,
+    others: list[Belief],
+    report: Callable[[str], None] | None = None,
+    **options: object,
+) -> Solution:
+    """The lowest minimum on a problem's grid: that which was found, or where the others lead to.
+
+    options: of `minimise`. A solution that one of the others led to tells which, as its start.
+    """
+    best = found
+    for belief in others:
+        try:
+            other = minimise(problem, belief, **options)
+        except SimulationError:
+            continue
+        if other.evaluation.cost < best.evaluation.cost:
+            best = replace(other, start=belief)
+    if best is not found and report:
+        report(f"another minimum is lower: {best.evaluation.misfit:.3f} sigma")
+    return best
+
+
+def _starts(belief: Belief, moduli: list[str]) -> Iterator[Belief]:
+    """The belief with one stiffness times a factor, where its bounds let it."""
+    for key in moduli:
+        for factor in (APART, 1.0 / APART):
+            parameter = belief[key]
+            value = parameter.value * factor
+            if parameter.lower <= value <= parameter.upper:
+                yield belief.with_parameter(key, value=value)
+
+
+def _same(one: Belief, other: Belief, moduli: list[str]) -> bool:
+    return all(abs(np.log(one[key].value / other[key].value)) < SAME for key in moduli)
