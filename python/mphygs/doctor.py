@@ -85,6 +85,7 @@ def doctor(options: DoctorOptions, console: Console) -> Answer:
             examined[recording.name] = examine(
                 capture, recording, Predictor(capture, recording, settings).attachment
             )
+            findings += [f"{recording.name}: {finding.text}" for finding in recording.markers.findings]
             findings += remarks(recording.name, examined[recording.name])
         expected, motions, said = _told(capture, settings, options, examined, console)
         findings += said

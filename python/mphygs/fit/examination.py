@@ -8,8 +8,7 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
-from mphygs.compare.noise import observe
-from mphygs.compare.roughness import OPPOSED, jumps, opposed
+from mphygs.compare.noise import Observation, observe
 from mphygs.compare.seen import mean_seen
 from mphygs.fit.first_frames import first_state
 from mphygs.simulate.body import Attachment
@@ -59,7 +58,8 @@ def examine(capture: Capture, recording: Recording, attachment: Attachment) -> E
     position = np.asarray(markers.position, float)
     seen = np.isfinite(position).all(2)
     observation = observe(recording, attachment)
-    sigma, by = _noise_seen(position, observation.sigma, observation.noise.source)
+    sigma, by = _noise_seen(observation)
+    stated = observation.stated or markers.sigma
     free = attachment.hold < 0
     moved = np.abs(position[:, free] - mean_seen(position[:, free], 0))
     moves = float(np.nanmax(moved)) if np.isfinite(moved).any() else 0.0
@@ -72,25 +72,24 @@ def examine(capture: Capture, recording: Recording, attachment: Attachment) -> E
         markers=position.shape[1],
         missing=float(1.0 - seen.mean()),
         longest_gap=longest_gap(seen),
-        sigma_stated=markers.sigma,
+        sigma_stated=stated,
         sigma_seen=sigma,
         seen_by=by,
         at_rest=int((~free).sum()),
         rest_frames=recording.release or 0,
-        moves=moves / markers.sigma,
+        moves=moves / (sigma or stated),
         frequency=leading_frequency(position[:, free], recording.fps),
         begins="measured" if recording.start == "measured" else begins,
     )
 
 
-def _noise_seen(position: np.ndarray, learnt: float, source: str) -> tuple[float | None, str | None]:
-    """Noise of a coordinate [m] by points that cannot move, else by what jumps from frame to frame."""
-    if not source.startswith("stated"):
-        return learnt, source
-    # of a fast motion third differences tell nothing of the noise
-    if opposed(position) < OPPOSED:
-        return jumps(position), "jumps from frame to frame"
-    return None, None
+def _noise_seen(observation: Observation) -> tuple[float | None, str | None]:
+    """Noise of a coordinate [m] as all tracks show it, else as points that cannot move do."""
+    if observation.seen is not None:
+        return observation.seen.value, "as the tracks show from frame to frame"
+    if observation.noise.source.startswith("stated"):
+        return None, None
+    return observation.sigma, observation.noise.source
 
 
 def longest_gap(seen: np.ndarray) -> int:
