@@ -28,7 +28,8 @@ LEVEL, UNEVEN, AGAIN = 1e-6, 1.6, 0.75
 # What the noisy ones have beyond noise that is new in every frame is at most this share: a track that is lost
 # wanders.
 WANDERS = 0.35
-# All scatter more than stated where the typical one does so many times as much, and all but this share do.
+# All scatter more than stated where the typical one does so many times as much, and they do so alike: all but
+# this share at either end, within the ratio from which on markers differ.
 LOUDER, SOME = 1.15, 0.1
 
 
@@ -48,7 +49,8 @@ def check(tracks: Tracks) -> Tracks:
     typical, louder = None, False
     if shown is not None and shown.white.mean() > 0.5:
         typical = float(np.median(shown.sigma[shown.white]))
-        louder = typical > LOUDER * stated and np.quantile(shown.least[shown.white], SOME) > stated
+        low, high = np.quantile(shown.least[shown.white], [SOME, 1.0 - SOME])
+        louder = typical > LOUDER * stated and stated < low and high < UNEVEN * low
     sigma, spread = stated, None
     if typical is None:
         sigma = most if numbers else stated
