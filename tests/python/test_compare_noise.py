@@ -7,6 +7,7 @@ import pytest
 
 from force_example import FPS, shaken_bar
 from mphygs.compare.noise import observe, without_faults
+from mphygs.compare.whitening import noise_from_rest
 from mphygs.simulate.prediction import Predictor, Settings
 
 FRAMES, SIGMA = 60, 5e-5
@@ -86,3 +87,12 @@ def test_a_fault_is_not_learned_as_noise(faults: tuple[str, ...]) -> None:
     assert "markers on what is held" in noise.source and "white" in noise.source
     assert not noise.common_sigma.any() and not noise.correlated_share.any()
     np.testing.assert_allclose(noise.sigma, sigma, rtol=0.12)  # as seen in so few series
+
+
+def test_points_at_rest_that_do_not_scatter_say_nothing_of_noise() -> None:
+    still = np.ones((40, 5, 3))
+    noise = noise_from_rest(still, 2e-4)
+    assert noise.sigma == 2e-4 and "none of them with a noise" in noise.source
+    one = still.copy()
+    one[:, 2] += 1e-3 * np.random.default_rng(0).standard_normal((40, 3))
+    assert noise_from_rest(one, 2e-4).sigma.max() == pytest.approx(1e-3, rel=0.3)

@@ -1,6 +1,7 @@
 """The missing force: gradient, recovery of a known one, its formula, what is kept and told of it."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -358,3 +359,14 @@ def test_a_formula_s_refit_ends_where_it_no_longer_falls(monkeypatch: pytest.Mon
     np.testing.assert_array_equal(found.numbers, best)
     # The shares of the shift, then at most four ever shorter steps of slopes of its own.
     assert case.asked <= force_regression.ANEW and case.runs <= 3 + 1 + 4
+
+
+def test_frames_that_rest_tell_of_no_force() -> None:
+    capture = shaken_bar()
+    resting = replace(capture.sequences[0], release=8)
+    capture = replace(capture, sequences=(resting,))
+    belief = soft_belief(capture, free=("part0.youngs_modulus",))
+    predictor = Predictor(capture, resting, Settings(0.015, workers=1))
+    problem = measured_problem(capture, predictor.predict(belief).position).with_ranges({"a": (0, 5)})
+    with pytest.raises(SimulationError, match="no fitted frame moves"):
+        missing_force(problem, belief)

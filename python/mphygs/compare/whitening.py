@@ -187,12 +187,16 @@ def noise_from_rest(rest: Array | None, sigma: float | None, *, what: str = "mar
         raise ValueError(f"rest has shape {rest.shape}: expected (frames, markers, coordinates)")
     observed = np.isfinite(rest).all(2)
     usable = observed.sum(0) >= MINIMUM_REST_FRAMES
+    # Points that do not scatter at all were not measured: they say nothing of noise.
+    usable &= np.array([np.ptp(rest[observed[:, m], m], axis=0).max() > 0.0 if ok else False
+                        for m, ok in enumerate(usable)], dtype=bool)  # fmt: skip
     if not usable.any():
         if sigma is None:
             raise ValueError(
                 f"{what}: {len(rest)} frames, expected {MINIMUM_REST_FRAMES} or more, or a stated sigma"
             )
-        return NoiseModel.white(sigma, f"stated sigma, taken as white ({what}: {len(rest)} frames, too few)")
+        short = "too few" if len(rest) < MINIMUM_REST_FRAMES else "none of them with a noise"
+        return NoiseModel.white(sigma, f"stated sigma, taken as white ({what}: {len(rest)} frames, {short})")
     series = np.where(observed[..., None], rest, 0.0)[:, usable]
     observed = observed[:, usable]
     order = min(MAXIMUM_ORDER, int(observed.sum(0).max()) // 10)

@@ -20,7 +20,7 @@ from mphygs.diagnose.missing_force_model import Channels, SeenForce, curvature
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.forced import ForcedMotion
+from mphygs.simulate.forced import ForcedMotion, ForcedSequence
 from mphygs.simulate.prediction import acts_in_simulation
 
 # Above this misfit [sigma] the motion is followed in stages, over these shares of the frames.
@@ -91,14 +91,18 @@ def missing_force(
     """Find the force that a fitted model lacks on the frames of a problem.
 
     start: the same model fitted to the first frames, where one is known: the force is sought from there.
-    Raises SimulationError where not even the model without a force can be simulated.
+    Recordings of which no frame of the problem moves say nothing of a force and are left out.
+    Raises SimulationError where not even the model without a force can be simulated, or no frame moves.
     """
     say = report or (lambda _text: None)
     begin = start or belief
     whole = {
         name: SeenForce.of(name, problem.predictors[name], begin, problem.observations[name], span)
         for name, span in problem.ranges.items()
+        if len(ForcedSequence(problem.predictors[name], span[1]).timeline(begin).moving)
     }
+    if not whole:
+        raise SimulationError("no fitted frame moves: a force shows in none")
     values = {name: np.zeros(seen.basis.shape) for name, seen in whole.items()}
     state = _state(problem, whole, belief, values)
     before, rows = state.chi_square, sum(len(r) for r in state.residuals.values())

@@ -23,6 +23,7 @@ from mphygs.fit.first_frames import starts_document, starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.of_run import capture_of, errors_of, feedback_document, pictured_of
+from mphygs.fit.one_sided import one_sided, with_bounds
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
@@ -31,7 +32,7 @@ from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.schedule import check_spacing, default_spacing
 from mphygs.fit.sensitivity import WHY, sensitivity_lines, sensitivity_of
 from mphygs.fit.start import starting_belief
-from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, table
+from mphygs.fit.tables import FAR, errors_text, feedback_lines, parameters_of, parameters_text, table
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.in_use import hold
 from mphygs.model.registry import USUAL_LAW, effects, laws
@@ -169,6 +170,9 @@ def fitted(
     answer = _answer(state, experiment, console, found)
     if state.stages is None:
         problem = experiment.problem(state.settings.spacing)
+        if state.history[-1].misfit <= FAR:  # else what the model lacks would be taken for a bound
+            bounds = one_sided(problem, state.belief, answer["parameters"])
+            answer["parameters"] = with_bounds(answer["parameters"], bounds)
         answer["sensitivity"] = sensitivity_of(problem, state.belief, problem.evaluate(state.belief))
     if options.feedback is not None:
         console.say("predicting under feedback")

@@ -22,6 +22,8 @@ DROP, LEFT, USUAL, CLEARLY, MOST = 60.0, 0.25, 3.0, 0.12, 12
 # The next best number of lost frames leaves so much more; and of what chi^2 falls by, all markers but the one
 # that gains most have this share: a single one that slips is no clock.
 NEXT_BEST, SHARED = 10.0, 0.2
+# Where a frame is repeated the later ones are late if that leaves less than this share, by so much at least.
+SLIPPED, SLIP = 0.7, 10.0
 # Shares of equal coordinates in frames that follow each other: of a repeated one, and of any other.
 REPEATED, OTHERS = 0.999, 0.2
 # So many repeated frames in a row at most are a fault of the clock.
@@ -117,6 +119,11 @@ def _placed(
         best = None
         for k, (now, others, degrees) in scores.items():
             (gap, least), (_, next_best) = sorted(others.items(), key=lambda item: item[1])[:2]
+            if times[k] - times[k - 1] > 1 and others.get(1, np.inf) < SLIPPED * now - usual * SLIP:
+                # Where frames repeat it is only asked whether the later ones are late.
+                if best is None or now - others[1] > best[0]:
+                    best = (now - others[1], k, 1)
+                continue
             clear = gap <= MOST_LOST and next_best - least > NEXT_BEST * usual
             falls = now - least > DROP * usual and least < LEFT * now
             fits = least < max(USUAL * usual * degrees, CLEARLY * now)

@@ -20,6 +20,8 @@ NEIGHBOURS = 8
 # A marker jumps that is so many sigma from where it should be; labels are given anew where they leave at
 # most this share of the square.
 FAR, LEFT = 8.0, 0.1
+# Frames after which a marker that jumped to where no other was is taken to be there.
+BELIEVED = 3
 
 
 def check(tracks: Tracks) -> Tracks:
@@ -46,6 +48,7 @@ def _followed(tracks: Tracks) -> np.ndarray:
     seen = tracks.seen
     _, near = cKDTree(tracks.at).query(tracks.at, k=min(NEIGHBOURS + 1, count))
     last, gone = np.full((count, 3), np.nan), np.zeros((count, 3))
+    doubted = np.zeros(count, int)  # frames since a jump
     order, kept = np.empty((frames, count), int), np.arange(count)
     for frame in range(frames):
         here = tracks.position[frame, kept]
@@ -69,7 +72,11 @@ def _followed(tracks: Tracks) -> np.ndarray:
             kept[jumped] = kept[jumped[new]]
             here = tracks.position[frame, kept]
         order[frame] = kept
-        here = np.where(seen[frame, kept][:, None], here, expected)
+        off = np.linalg.norm(here - expected, axis=1)
+        doubted = np.where(np.isfinite(off) & (off > _far(off, tracks.sigma)), doubted + 1, 0)
+        sure = seen[frame, kept] & ((doubted == 0) | (doubted > BELIEVED))
+        doubted[sure] = 0
+        here = np.where(sure[:, None], here, expected)
         gone, last = np.nan_to_num(here - last), here
     return order
 

@@ -28,8 +28,9 @@ LEVEL, UNEVEN, AGAIN = 1e-6, 1.6, 0.75
 # What the noisy ones have beyond noise that is new in every frame is at most this share: a track that is lost
 # wanders.
 WANDERS = 0.35
-# All scatter more than stated where the typical one does so many times as much.
-LOUDER = 1.15
+# All scatter more than stated where the typical one does so many times as much, and they do so alike: all but
+# this share at either end, within the ratio from which on markers differ.
+LOUDER, SOME = 1.15, 0.1
 
 
 def check(tracks: Tracks) -> Tracks:
@@ -45,19 +46,22 @@ def check(tracks: Tracks) -> Tracks:
         # Whether the stated one has the rounding in it is not known.
         least, most = max(stated, rounding), float(np.hypot(stated, rounding))
     shown = scatter(tracks.position)
-    typical = None
+    typical, louder = None, False
     if shown is not None and shown.white.mean() > 0.5:
         typical = float(np.median(shown.sigma[shown.white]))
+        low, high = np.quantile(shown.least[shown.white], [SOME, 1.0 - SOME])
+        louder = typical > LOUDER * stated and stated < low and high < UNEVEN * low
     sigma, spread = stated, None
     if typical is None:
         sigma = most if numbers else stated
-    elif numbers or typical > LOUDER * stated:
+    elif numbers or louder:
         sigma = max(typical, least)
         if sigma > LOUDER * most:
             said.append(f"they scatter by {1e3 * typical:.3g} mm a coordinate")
     if shown is not None and typical is not None and uneven(shown) and _lasts(tracks.position):
-        spread = np.where(shown.white, np.maximum(shown.least, rounding), sigma)
-        order = np.argsort(-np.where(shown.white, shown.least, 0.0))
+        known = np.isfinite(shown.least)
+        spread = np.where(known, np.fmax(shown.least, rounding), sigma)
+        order = np.argsort(-np.where(known, spread, 0.0))
         worst = [f"{k} ({1e3 * spread[k]:.3g} mm)" for k in order[: max(1, int(0.1 * len(order)))]]
         said.append(
             f"markers scatter by {1e3 * spread.min():.3g} to {1e3 * spread.max():.3g} mm a coordinate, most "
