@@ -1,4 +1,4 @@
-"""Markers whose labels were exchanged midway: a fault of the measurement, named."""
+"""Markers whose labels were exchanged midway: a fault of the measurement, put right and named."""
 
 from __future__ import annotations
 
@@ -35,4 +35,4 @@ def test_two_labels_that_are_exchanged_midway_are_named(tmp_path: Path) -> None:
     run = tmp_path / "run"
     answer(fit.main, tmp_path / "capture", "--out", run, "--spacing", "0.01")
     found = answer(diagnose.main, run, "--effects", "viscosity,marker_outliers")
-    assert (found["verdict"], found["effects"]) == ("measurement", ["marker_outliers"])
+    assert (found["verdict"], found["effects"]) == ("measurement", ["label_swaps"])

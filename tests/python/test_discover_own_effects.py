@@ -56,7 +56,6 @@ def answer(site: Path, *words: object) -> dict:
     [
         ("dashpot:c=0.05", "dashpot", None),  # acts at a place
         ("restoring:k=40", "restoring", None),
-        ("locking:limit=0.002:k=1e5", "locking", None),  # a threshold
         # Has a history. A bar that bends does not tell it from a relaxation.
         ("volume_memory:k=4e5:tau=0.1", "volume_memory", "volume_memory,viscosity,air_drag,gravity"),
     ],

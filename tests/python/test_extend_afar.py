@@ -42,7 +42,7 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
         asked.append((belief, allowance))
         return SimpleNamespace(entries=(), chi_square=1.0)
 
-    def refits_of(_e: object, _c: object, seen: tuple, *_: object, afar: bool) -> list[object]:
+    def refits_of(_e: object, _c: object, seen: tuple, *_: object, afar: bool, fates: dict) -> list[object]:
         begun.append((seen[1], afar))
         return []
 
@@ -50,6 +50,7 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
         "refits_of": refits_of,
         "refined": lambda _e, steps, *_, **__: steps[-1], "reconciled": lambda _e, step, _r: step,
         "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "exchanged": lambda *_, **__: None,
+        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (),
     }  # fmt: skip
     for name, function in patches.items():
         monkeypatch.setattr(discover, name, function)
@@ -60,7 +61,7 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
     for name, function in seen_at.items():
         monkeypatch.setattr(ranked, name, function)
     steps = [step_of(excess_of(10.0))]
-    discover.discover(SimpleNamespace(capture=None), plain_belief(), SPACING, start=steps)
+    discover.discover(SimpleNamespace(capture=None, observations={}), plain_belief(), SPACING, start=steps)
     (belief, allowance), (seen, from_afar) = asked[0], begun[0]
     assert (belief, seen, from_afar) == ((SOFT, afar, True) if far else (STIFF, near, False))
     # From afar the grid's error is that of another motion.

@@ -9,12 +9,15 @@ import numpy as np
 
 from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
+from mphygs.capture.track_faults.noise_level import own_noise
 from mphygs.compare.autoregression import Autoregression
 from mphygs.compare.seen import mean_seen
 from mphygs.compare.seen_sigma import SeenSigma, seen_sigma
 from mphygs.compare.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 
+# Two ways of telling noise from motion agree where the second says so much of what the first does.
+ALIKE = 0.9
 # Without a stated sigma and without rest footage: what good marker systems reach.
 DEFAULT_SIGMA = 2e-4
 # Of an error that stays, what is carried from frame to frame.
@@ -105,8 +108,9 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     # Where markers differ each has its own, which was read off the tracks as well.
     seen = None if own is not None else seen_sigma(position)
     # Noise that lasts is not seen in differences: without markers at rest, which show it, less than was
-    # stated is no proof.
-    if seen is not None and not still and not (seen.value > stated and seen.differs(stated)):
+    # stated is no proof; nor is more, where the motion that markers share may be what differs.
+    louder = seen is not None and seen.value > stated and seen.differs(stated)
+    if seen is not None and not (own_noise(position) > ALIKE * seen.value if louder else still):
         seen = None
     sigma = sigma if seen is None else seen.value
     if rest is None or rest.shape[1] == 0:

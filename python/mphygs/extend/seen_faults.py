@@ -15,6 +15,8 @@ def seen_faults(experiment: Experiment) -> dict[str, list[Finding]]:
     all markers share where it is more than what is stated."""
     found = {}
     for name, observation in experiment.observations.items():
+        if name not in [recording.name for recording in experiment.capture.sequences]:
+            continue
         markers = experiment.capture.sequence(name).markers
         if markers is None:
             continue

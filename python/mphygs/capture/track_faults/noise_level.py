@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from mphygs.capture.track_faults.scatter import Scatter, scatter
+from mphygs.capture.track_faults.scatter import DEEPER, Scatter, scatter
 from mphygs.capture.track_faults.tracks import Finding, Tracks, listed
 
 FAULT = "noise_level"
@@ -30,7 +30,7 @@ LEVEL, UNEVEN, AGAIN = 1e-6, 1.6, 0.75
 WANDERS = 0.35
 # All scatter more than stated where the typical one does so many times as much, and they do so alike: all but
 # this share at either end, within the ratio from which on markers differ.
-LOUDER, SOME = 1.15, 0.1
+LOUDER, SOME = 1.3, 0.1
 
 
 def check(tracks: Tracks) -> Tracks:
@@ -51,6 +51,7 @@ def check(tracks: Tracks) -> Tracks:
         typical = float(np.median(shown.sigma[shown.white]))
         low, high = np.quantile(shown.least[shown.white], [SOME, 1.0 - SOME])
         louder = typical > LOUDER * stated and stated < low and high < UNEVEN * low
+        louder = louder and own_noise(tracks.position) > LOUDER * stated
     sigma, spread = stated, None
     if typical is None:
         sigma = most if numbers else stated
@@ -76,6 +77,14 @@ def check(tracks: Tracks) -> Tracks:
     text = f"{'; '.join(said)}; sigma is {1e3 * sigma:.3g} mm, stated was {1e3 * stated:.3g} mm"
     finding = Finding(FAULT, text, numbers | {"sigma": sigma, "stated": stated})
     return replace(tracks.found(finding), sigma=sigma, scatter=spread)
+
+
+def own_noise(position: np.ndarray) -> float:
+    """Noise that no marker of tracks (T, M, 3) shares with others [m], zero where they do not tell."""
+    shown = scatter(position, DEEPER)
+    if shown is None or not shown.white.any():
+        return 0.0
+    return float(np.median(shown.sigma[shown.white]))
 
 
 def quantum(position: np.ndarray, sigma: float) -> float:

@@ -17,6 +17,9 @@ ORDER = 3
 FRAMES, MARKERS, STRETCH = 12, 6, 120
 # Parts that markers are dealt to: each one's motion is told by the others.
 GROUPS = 4
+# The motion's share of the frames at most, one in so many. Beside the ways to move that stand out of the
+# noise as many again hardly do: they are taken off with them where noise is to be told from motion.
+DEEPEST, DEEPER = 3, 2
 # A marker seen less often than this tells nothing.
 SEEN = 0.6
 
@@ -44,8 +47,12 @@ class Scatter:
             return np.isfinite(self.sigma) & (self.sigma > 0.0) & (self.whole < np.sqrt(2.0) * self.sigma)
 
 
-def scatter(position: np.ndarray) -> Scatter | None:
-    """Of tracks (T, M, 3) [m], NaN where not measured; None where they are too few or too short."""
+def scatter(position: np.ndarray, times: int = 1) -> Scatter | None:
+    """Of tracks (T, M, 3) [m], NaN where not measured; None where they are too few or too short.
+
+    times: as many ways to move are taken off as stand out of the noise; more than one, and None also where
+    these are too many to leave noise alone.
+    """
     frames, count = position.shape[:2]
     seen = np.isfinite(position).all(axis=2)
     used = np.flatnonzero(seen.mean(axis=0) >= SEEN)
@@ -61,7 +68,9 @@ def scatter(position: np.ndarray) -> Scatter | None:
             mine = np.arange(group, len(used), min(GROUPS, len(used)))
             others = np.setdiff1d(np.arange(len(used)), mine)
             course = filled[first:last]
-            basis = motion_basis(course[:, others])
+            if times > 1 and crowded(course[:, others]):
+                return None
+            basis = motion_basis(course[:, others], times)
             own, moment = _left(course[:, mine], seen[first:last, used[mine]], basis)
             sums[:, mine] += own
             moments += moment
@@ -85,18 +94,31 @@ def filled_in(position: np.ndarray) -> np.ndarray:
     return filled
 
 
-def motion_basis(course: np.ndarray) -> np.ndarray:
+def motion_basis(course: np.ndarray, times: int = 1) -> np.ndarray:
     """(T, R + 1) orthonormal courses over time that hold the motion of tracks (T, M, 3), a constant among
-    them: singular values above the optimal threshold for unknown noise."""
+    them: singular values above the optimal threshold for unknown noise, so many times as many."""
     frames = len(course)
     matrix = course.reshape(frames, -1)
     matrix = matrix - matrix.mean(axis=0)
     vectors, values, _ = np.linalg.svd(matrix, full_matrices=False)
-    ratio = min(matrix.shape) / max(matrix.shape)
-    threshold = 0.56 * ratio**3 - 0.95 * ratio**2 + 1.82 * ratio + 1.43
-    rank = int((values > threshold * np.median(values)).sum())
-    rank = min(rank, frames // 3)
+    rank = min(_rank(values, matrix.shape), frames // DEEPEST)
+    rank = min(times * rank, frames // 2)
     return np.hstack([np.full((frames, 1), frames**-0.5), vectors[:, :rank]])
+
+
+def crowded(course: np.ndarray) -> bool:
+    """Whether tracks (T, M, 3) move in so many ways that a third of the frames, or of the coordinates, do not
+    hold them: what is left then has motion in it, and does not tell noise."""
+    matrix = course.reshape(len(course), -1)
+    values = np.linalg.svd(matrix - matrix.mean(axis=0), compute_uv=False)
+    return _rank(values, matrix.shape) >= min(matrix.shape) // DEEPEST
+
+
+def _rank(values: np.ndarray, shape: tuple[int, int]) -> int:
+    """How many singular values of a matrix stand out of noise of unknown size."""
+    ratio = min(shape) / max(shape)
+    threshold = 0.56 * ratio**3 - 0.95 * ratio**2 + 1.82 * ratio + 1.43
+    return int((values > threshold * np.median(values)).sum())
 
 
 def _left(course: np.ndarray, seen: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
