@@ -17,6 +17,7 @@ from mphygs.diagnose.next_motion import candidate_motions
 from mphygs.fit.examination import Examined, examine, remarks
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.identifiable import Expected, Identifiable, expected_document
+from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.schedule import screening_spacing
 from mphygs.fit.start import starting_belief
@@ -65,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def doctor(options: DoctorOptions, console: Console) -> Answer:
     """Look at a capture; findings are no fault: exit code 0."""
-    capture = load_capture(options.capture)
+    capture = well_labelled(load_capture(options.capture))
     for name in names(options.effects):
         if name not in effects():
             known = ", ".join(sorted(effects()))
