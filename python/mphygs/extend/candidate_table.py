@@ -63,8 +63,8 @@ def _row(
         "gain": None if gain is None else gain.gain,
         "gain_se": None if gain is None else gain.error,
         "numbers": _spent(entry, before),
-        "estimate": dict(estimate),
-        "std": dict(std),
+        "estimate": {name: value for name, value in estimate.items() if np.isfinite(value)},
+        "std": {name: error for name, error in std.items() if np.isfinite(error)},
         "ties": list(dict.fromkeys([*ties, *(() if refit else entry.confounded_with)])),
         "struck": struck,
     }
