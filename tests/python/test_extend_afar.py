@@ -61,7 +61,8 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
     for name, function in seen_at.items():
         monkeypatch.setattr(ranked, name, function)
     steps = [step_of(excess_of(10.0))]
-    discover.discover(SimpleNamespace(capture=None, observations={}), plain_belief(), SPACING, start=steps)
+    unseen = SimpleNamespace(capture=SimpleNamespace(sequences=()), observations={})
+    discover.discover(unseen, plain_belief(), SPACING, start=steps)
     (belief, allowance), (seen, from_afar) = asked[0], begun[0]
     assert (belief, seen, from_afar) == ((SOFT, afar, True) if far else (STIFF, near, False))
     # From afar the grid's error is that of another motion.

@@ -44,7 +44,7 @@ from mphygs.simulate.errors import SimulationError
 
 # An experiment on one core, of which nothing else is asked.
 ALONE = SimpleNamespace(settings=SimpleNamespace(workers=1), capture=None)
-UNSEEN = SimpleNamespace(observations={}, capture=None)
+UNSEEN = SimpleNamespace(capture=SimpleNamespace(sequences=()), observations={})
 
 
 @pytest.fixture(autouse=True)
@@ -1232,7 +1232,7 @@ def test_a_jitter_of_all_markers_beyond_the_stated_noise_is_a_fault() -> None:
     jitter = replace(NoiseModel.white(2e-4, "stated"), common_sigma=np.array([0.0, 4e-4, 0.0]))
     for sigma, named in ((2e-4, ["common_shake"]), (4e-4, [])):
         markers = Markers(np.zeros((3, 2, 3)), np.zeros((2, 3)), sigma)
-        capture = SimpleNamespace(sequence=lambda _name, own=markers: SimpleNamespace(markers=own))
+        capture = SimpleNamespace(sequences=(SimpleNamespace(name="a", markers=markers),))
         observation = Observation(markers.position, jitter, np.ones(2))
         found = seen_faults(SimpleNamespace(observations={"a": observation}, capture=capture))
         assert fault_names(found) == named

@@ -14,11 +14,10 @@ def seen_faults(experiment: Experiment) -> dict[str, list[Finding]]:
     """By sequence, of those that are observed: what their tracks showed when they were read, and a noise that
     all markers share where it is more than what is stated."""
     found = {}
-    for name, observation in experiment.observations.items():
-        if name not in [recording.name for recording in experiment.capture.sequences]:
-            continue
-        markers = experiment.capture.sequence(name).markers
-        if markers is None:
+    for recording in experiment.capture.sequences:
+        name, markers = recording.name, recording.markers
+        observation = experiment.observations.get(name)
+        if markers is None or observation is None:
             continue
         own = list(markers.findings)
         shared = observation.noise.common_sigma.max()
