@@ -48,6 +48,25 @@ def test_what_the_grid_moves_as_much_is_its_own() -> None:
     assert not assessed((2.0, 0.0), (3.0, 0.0)).adequate
 
 
+@pytest.mark.parametrize(
+    ("beyond", "share", "by"),
+    [
+        (0.0, 0.0, "noise"),
+        (0.0, 0.5, "noise"),
+        (3.0, 3.3, "grid"),
+        (3.0, 1.0, None),
+    ],
+)
+def test_verdict_and_p_value_agree(beyond: float, share: float, by: str | None) -> None:
+    found = assessed((beyond, share), (beyond, share))
+    assert (found.by, found.adequate) == (by, by is not None)
+    assert (found.p_value >= 0.01) is (by in ("noise", "grid"))
+    assert found.grid == pytest.approx(share, rel=0.01, abs=1e-12)
+    if by == "noise":
+        # That of the test of the floor, which is uniform over nulls: a share that was measured adds nothing.
+        assert found.p_value == found.floor.p_value < 1.0
+
+
 def test_fitted_frames_do_not_pay_for_unseen_ones() -> None:
     found = assessed((1.5, 3.0), (1.5, 0.2))
     # as a whole the grid's share covers the misfit

@@ -106,7 +106,8 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
 @dataclass(frozen=True, eq=False)
 class Assessment:
     """adequate: no more misfit than the floor; p_value: of a misfit this large with the discretisation's
-    share allowed for, as the verdict goes by it where a refinement has shown that share; grid: that share,
+    share allowed for, as an error that drifts, or where the verdict rests on that share as a refinement has
+    shown it, of what that leaves, range by range; grid: that share,
     root mean square over all rows [sigma]; by: what the misfit is no more than, "noise" (and the grid, by the
     test of the floor), "grid" (as measured, range by range) or "tolerance", None where it is more; ratio:
     sequence -> range -> root mean square over sigma of the whitened residual; budget: shares of the mean
@@ -209,7 +210,7 @@ def assess(
         by = "tolerance"
     return Assessment(
         adequate=by is not None,
-        p_value=max(_p_value(floor), own_p),
+        p_value=own_p if by == "grid" else _p_value(floor),
         ratio=found,
         floor=floor,
         where=_where(whitened, part_names, part_centers),
