@@ -201,7 +201,8 @@ def discover(
         among = []
         for step in alone.steps[1:]:
             try:
-                among.append(among_all(experiment, steps[0].belief, step))
+                found = among_all(experiment, steps[0].belief, step)
+                among.append(replace(found, table=step.table))
             except SimulationError as error:
                 say(f"{', '.join(step.added)}, for all recordings: {error}")
                 break
