@@ -199,18 +199,19 @@ def assess(
     budget = _budget(whitened, share)
     # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
     # range: fitted frames may not pay for what unseen ones show.
+    beyond = [(whitened.residual[rows] ** 2 - share[rows] ** 2) for rows in _ranges(whitened)]
     own = np.any(whitened.refinement) and worst < LARGEST_GRID_ERROR
-    own_p = _beyond_the_grid(whitened, share) if own else 0.0
+    own = own and max(map(np.mean, beyond)) <= BUDGET_FLOOR**2
     by = None
     if floor.reached and worst <= LARGEST_EXCUSED:
         by = "noise"
-    elif own_p >= level:
+    elif own:
         by = "grid"
     elif worst <= PRACTICAL_FLOOR:
         by = "tolerance"
     return Assessment(
         adequate=by is not None,
-        p_value=own_p if by == "grid" else _p_value(floor),
+        p_value=_beyond_the_grid(beyond) if by == "grid" else _p_value(floor),
         ratio=found,
         floor=floor,
         where=_where(whitened, part_names, part_centers),
@@ -226,15 +227,11 @@ def _p_value(floor: Floor) -> float:
     return min(floor.p_value, *(float(floor.block_p_values[k]) for k in floor.significant_blocks), 1.0)
 
 
-def _beyond_the_grid(whitened: Whitened, share: np.ndarray) -> float:
-    """p-value of what the grid's share does not cover, in the range in which it is least: of a misfit this
-    large where noise is as large as `BUDGET_FLOOR` says at most (Bonferroni over the ranges)."""
-    ranges = _ranges(whitened)
-    found = []
-    for rows in ranges:
-        beyond = float(np.sum(whitened.residual[rows] ** 2) - np.sum(share[rows] ** 2))
-        found.append(chi2.sf(max(beyond, 0.0) / BUDGET_FLOOR**2, int(rows.sum())))
-    return float(min(1.0, len(ranges) * min(found)))
+def _beyond_the_grid(beyond: list[np.ndarray]) -> float:
+    """p-value of the squares that the grid's share does not cover, by range, in the range in which it is
+    least: where noise is as large as `BUDGET_FLOOR` says at most (Bonferroni over the ranges)."""
+    found = [chi2.sf(max(float(b.sum()), 0.0) / BUDGET_FLOOR**2, len(b)) for b in beyond]
+    return float(min(1.0, len(found) * min(found)))
 
 
 def _excess(whitened: Whitened, rows: np.ndarray) -> float:
