@@ -11,7 +11,7 @@ import pytest
 from capture_example import Example, write_c3d
 from mphygs.capture.track_faults import marker_survey
 from mphygs.capture.track_faults.examined import CHECKS, examined
-from mphygs.capture.track_faults.noise_level import quantum
+from mphygs.capture.track_faults.noise_level import own_noise, quantum
 from mphygs.capture.track_faults.scatter import scatter
 from mphygs.capture.track_faults.tracks import Tracks
 from mphygs.compare.noise import _with_offset
@@ -245,3 +245,17 @@ def test_a_c3d_is_put_right_in_the_object_s_frame(tmp_path: Path) -> None:
     clean, found = results
     assert clean.findings == () and [f.fault for f in found.findings] == ["label_swaps"]
     np.testing.assert_allclose(found.position, clean.position, atol=1e-6)
+
+
+@pytest.mark.parametrize(("count", "ways"), [(12, 4), (12, 8), (36, 8)])
+def test_what_a_marker_has_of_its_own_is_told_from_few_others(count: int, ways: int) -> None:
+    """Of motions in several ways, as large as a thousand times the noise: that is in the others as well."""
+    told = []
+    for seed in range(6):
+        draw = np.random.default_rng((77, count, ways, seed))
+        time = np.linspace(0.0, 1.0, 60)
+        phase, turns = draw.uniform(0.0, 6.0, (ways, 1)), np.arange(1.0, ways + 1.0)[:, None]
+        course = np.sin(2.0 * np.pi * turns * time + phase)
+        motion = np.einsum("kt,kmc->tmc", course, draw.normal(0.0, 0.1, (ways, count, 3)))
+        told.append(own_noise(motion + 1e-4 * draw.standard_normal(motion.shape)))
+    assert np.median(told) == pytest.approx(1e-4, rel=0.06)

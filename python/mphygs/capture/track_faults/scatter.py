@@ -72,6 +72,9 @@ def scatter(position: np.ndarray, times: int = 1) -> Scatter | None:
                 return None
             basis = motion_basis(course[:, others], times)
             own, moment = _left(course[:, mine], seen[first:last, used[mine]], basis)
+            # The others' own noise is in the ways that they move in: each of these leaves of a marker's motion
+            # as much as the noise of one coordinate, spread over all of theirs (errors in variables).
+            own[[1, 4]] *= 1.0 + ways_of(course[:, others]) / (3.0 * len(others))
             sums[:, mine] += own
             moments += moment
     out = np.full((3, count), np.nan)
@@ -106,12 +109,16 @@ def motion_basis(course: np.ndarray, times: int = 1) -> np.ndarray:
     return np.hstack([np.full((frames, 1), frames**-0.5), vectors[:, :rank]])
 
 
+def ways_of(course: np.ndarray) -> int:
+    """In how many ways tracks (T, M, 3) move, as far as these stand out of the noise."""
+    matrix = course.reshape(len(course), -1)
+    return _rank(np.linalg.svd(matrix - matrix.mean(axis=0), compute_uv=False), matrix.shape)
+
+
 def crowded(course: np.ndarray) -> bool:
     """Whether tracks (T, M, 3) move in so many ways that a third of the frames, or of the coordinates, do not
     hold them: what is left then has motion in it, and does not tell noise."""
-    matrix = course.reshape(len(course), -1)
-    values = np.linalg.svd(matrix - matrix.mean(axis=0), compute_uv=False)
-    return _rank(values, matrix.shape) >= min(matrix.shape) // DEEPEST
+    return ways_of(course) >= min(len(course), 3 * course.shape[1]) // DEEPEST
 
 
 def _rank(values: np.ndarray, shape: tuple[int, int]) -> int:
