@@ -72,8 +72,8 @@ def scatter(position: np.ndarray, times: int = 1) -> Scatter | None:
                 return None
             basis = motion_basis(course[:, others], times)
             own, moment = _left(course[:, mine], seen[first:last, used[mine]], basis)
-            # The others' own noise is in the ways that they move in: each of these leaves of a marker's motion
-            # as much as the noise of one coordinate, spread over all of theirs (errors in variables).
+            # The others' own noise is in the ways that they move in: each of these leaves of a motion as much
+            # as the noise of one coordinate, spread over all of theirs (errors in variables).
             own[[1, 4]] *= 1.0 + ways_of(course[:, others]) / (3.0 * len(others))
             sums[:, mine] += own
             moments += moment
