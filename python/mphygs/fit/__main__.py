@@ -173,7 +173,8 @@ def fitted(
         if state.history[-1].misfit <= FAR:  # else what the model lacks would be taken for a bound
             bounds = one_sided(problem, state.belief, answer["parameters"])
             answer["parameters"] = with_bounds(answer["parameters"], bounds)
-        answer["sensitivity"] = sensitivity_of(problem, state.belief, problem.evaluate(state.belief))
+        if not screening:  # the first of many models is no one's answer
+            answer["sensitivity"] = sensitivity_of(problem, state.belief, problem.evaluate(state.belief))
     if options.feedback is not None:
         console.say("predicting under feedback")
         answer["feedback"] = feedback_document(
