@@ -15,19 +15,18 @@ import re
 import shlex
 import sys
 import threading
-import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
 from mphygs.capture.errors import one_line
-from mphygs.fit.countdown import duration
+from mphygs.console import Console
 from mphygs.in_use import held, hold
 from mphygs.model.user_effect import load_plugin
 
@@ -65,36 +64,6 @@ class Answer:
 
     document: dict[str, object]
     text: str
-
-
-@dataclass
-class Console:
-    """Where a command reports while it runs. resume: the command line that continues it when stopped."""
-
-    stream: TextIO
-    resume: str | None = None
-    _begin: float = field(default_factory=time.monotonic)
-
-    @property
-    def seconds(self) -> float:
-        """Time since the work began [s]."""
-        return time.monotonic() - self._begin
-
-    def begin(self) -> None:
-        """Count time from here: what went before says nothing of how long the rest takes."""
-        self._begin = time.monotonic()
-
-    def say(self, text: str) -> None:
-        """One line of report."""
-        self.stream.write(f"{text}\n")
-        self.stream.flush()
-
-    def progress(self, share: float, text: str) -> None:
-        """One line of progress; share: of the whole work that is done, 0 to 1."""
-        left = ""
-        if share > 0.0:
-            left = f", about {duration(self.seconds * (1.0 - share) / share)} left"
-        self.say(f"[{100.0 * min(share, 1.0):3.0f} %, {duration(self.seconds)}{left}] {text}")
 
 
 def names(text: str | None) -> tuple[str, ...]:
@@ -173,7 +142,7 @@ def run(
     options = _parse(options_type, program, argv)
     if isinstance(options, int):
         return options
-    console = Console(sys.stderr)
+    console = Console(sys.stderr, live=not options.json)
     answer, code = _guarded(action, options, console, program)
     if answer is None:
         return code
@@ -254,12 +223,16 @@ def _guarded(
         with contextlib.redirect_stdout(sys.stderr), working(options):
             return action(options, console), DONE
     except KeyboardInterrupt:
+        console.end()
         hint = f"; continue with: {_with_plugin(console.resume, options)}" if console.resume else ""
         console.say(f"{program}: interrupted{hint}")
         return None, INTERRUPTED
     except Exception as error:  # every error ends in one line and its exit code
+        console.end()
         if os.environ.get(TRACEBACK_VARIABLE):
             console.say(traceback.format_exc())
         message, code = told(error)
         console.say(f"{program}: {message}")
         return None, code
+    finally:
+        console.end()

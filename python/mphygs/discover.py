@@ -136,6 +136,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         _keep(out, done, experiment, options)
         console.say("\n".join(steps_text(plain(done.documents[-1:]))))
 
+    console.working("looking for what is missing")
     found = discover(
         experiment,
         belief,

@@ -125,6 +125,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         done.tell(steps[0], experiment, before=("marker_outliers",) if state.left_out else ())
         keep(())
     console.resume = _again(options)
+    console.working("looking for what is missing")
     found = discover(
         experiment,
         belief,
