@@ -34,9 +34,8 @@ def tried_effects(
     """Threshold effects, soft holds, masses of known loads: the best of a few finite trials each, with the
     p-value of the best of so many. What is tried is read off the sequence that is off most."""
     name = evaluation.worst
-    _first, last = problem.ranges[name]
     problem = problem.with_ranges({name: problem.ranges[name], **problem.ranges})
-    observation, predictor = experiment.observations[name], problem.predictors[name]
+    observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
     for spec in missing(belief, problem.settings.transfer, names):
         if spec.of_role("offset"):
@@ -46,9 +45,7 @@ def tried_effects(
             )  # fmt: skip
             groups[spec.name] = [Trial(spec.name, p.label, with_wall(own, spec, p)) for own, p in found]
         else:
-            groups[spec.name] = trials_of(
-                spec, experiment.capture, predictor, belief, last, list(problem.ranges)
-            )
+            groups[spec.name] = trials_of(spec, experiment.capture, problem, belief, evaluation)
 
     def tried(own: Experiment, trial: Trial) -> Evaluation | str:
         try:
