@@ -123,7 +123,8 @@ def test_all_effects_say_the_same_things_of_themselves() -> None:
     )
     assert {role for e in known.values() for role in e.scanned if role in VECTORS} == set(VECTORS)
     for name, spec in known.items():
-        assert spec.name == name and spec.summary and spec.parameters
+        assert spec.name == name and spec.summary and bool(spec.parameters) is (name not in laws())
+        assert (spec.site == "law") is (name in laws())
         for p in spec.parameters:
             assert p.lower <= p.null <= p.upper and p.scale > 0.0
             assert p.lower <= p.range[0] <= p.range[1] <= p.upper or p.scan is None

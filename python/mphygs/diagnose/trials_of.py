@@ -1,4 +1,4 @@
-"""Finite trials of what a derivative at the null says little of: thresholds, holds, weights of known loads.
+"""Finite trials of what no derivative at the null tells much of: thresholds, holds, weights of loads, laws.
 
 Planes that a body may have met are searched for (`mphygs.diagnose.contact_search`), levels of thresholds are
 scanned (`mphygs.diagnose.thresholds`).
@@ -23,6 +23,8 @@ from mphygs.model.descriptor import EffectSpec
 YIELDING = (3e-4, 1e-3, 3e-3, 1e-2)
 # Of the mass whose weight a known load is.
 MASS_SHARES = (0.5, 1.0)
+# Of the sum of squares of noise, standard deviations up to which no other law is tried.
+SPREAD = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,15 @@ def trials_of(
         trials += hold_trials(spec, capture, belief)
     if spec.site == "mass":
         trials += hung_trials(spec, capture, belief, list(problem.ranges))
+    if spec.site == "law" and not _at_noise(evaluation):
+        trials.append(Trial(spec.name, f"law {spec.name}", belief.with_effect(spec.name)))
     return trials
+
+
+def _at_noise(evaluation: Evaluation) -> bool:
+    """Whether noise alone may leave as much, by the spread of its sum of squares."""
+    rows = evaluation.data_rows
+    return evaluation.chi_square <= rows + SPREAD * np.sqrt(2.0 * rows)
 
 
 def hold_trials(spec: EffectSpec, capture: Capture, belief: Belief) -> list[Trial]:

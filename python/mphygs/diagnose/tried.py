@@ -18,6 +18,9 @@ from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
+# Of the sum of squares: what changes less of a motion than this is not told from noise.
+TELLS = 16.0
+
 
 def tried_effects(
     experiment: Experiment,
@@ -31,8 +34,8 @@ def tried_effects(
     names: Sequence[str] | None,
     report: Callable[[str], None] | None,
 ) -> list[Entry]:
-    """Threshold effects, soft holds, masses of known loads: the best of a few finite trials each, with the
-    p-value of the best of so many. What is tried is read off the sequence that is off most."""
+    """Threshold effects, soft holds, masses of known loads, laws: the best of a few finite trials each, with
+    the p-value of the best of so many. What is tried is read off the sequence that is off most."""
     name = evaluation.worst
     problem = problem.with_ranges({name: problem.ranges[name], **problem.ranges})
     observation = experiment.observations[name]
@@ -76,6 +79,11 @@ def tried_effects(
         )
         scores = score_trials(residual, jacobian, matrix, generator=generator)
         trial = kept[scores.best]
+        if not effect(kind).fitted and scores.powers[scores.best] < TELLS:
+            # There is no more of it than that.
+            why = "differs by less than noise can tell, beside numbers that are fitted"
+            entries.append(lost(kind, trial.label, why, belief, evaluation.misfit))
+            continue
         estimate = {
             p.key.rsplit(".", 1)[1]: p.value
             for p in trial.belief.parameters

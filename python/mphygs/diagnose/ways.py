@@ -16,7 +16,7 @@ import numpy as np
 from mphygs.fit.start import starting_values
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.descriptor import EffectSpec, ParameterSpec
-from mphygs.model.registry import effects
+from mphygs.model.registry import effects, laws
 from mphygs.simulate.body import Body
 from mphygs.simulate.settings import impossible_effects
 
@@ -63,7 +63,8 @@ def missing(belief: Belief, transfer: str, names: Sequence[str] | None) -> list[
     impossible = impossible_effects(transfer)
     known = effects()
     wanted = known if names is None else names
-    return [known[n] for n in wanted if n not in belief.effects and n not in impossible]
+    had = {*belief.effects, belief.law, *(laws() if belief.chosen_law else ())}
+    return [known[n] for n in wanted if n not in had and n not in impossible]
 
 
 def strengths(spec: EffectSpec) -> list[str]:

@@ -71,7 +71,8 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class EffectSpec:
-    """kind: "smooth", "threshold" or "measurement"; site: where it acts in the simulation.
+    """kind: "smooth", "threshold" or "measurement"; site: where it acts in the simulation, "law" for an
+    elastic law, which has no numbers and stands in the place of another.
 
     history: numbers that it carries per point; loads_at_rest: whether it loads the object at rest as well,
     where the rest shape is an equilibrium; corrects_gravity: its three numbers add to gravity;
@@ -122,7 +123,7 @@ class EffectSpec:
     @property
     def in_core(self) -> bool:
         """Whether the compiled core computes it."""
-        return self.site not in ("material", "measurement", "user")
+        return self.site not in ("material", "law", "measurement", "user")
 
     @property
     def placed(self) -> bool:

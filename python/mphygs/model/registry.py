@@ -1,4 +1,4 @@
-"""The effects that can be named: those of the core, those of the measurement, and the user's own.
+"""The effects that can be named: those of the core, other laws, those of the measurement, the user's own.
 
 One table that the command line, diagnosis, reports and tests read. Names, units and null values are
 those of the public list of effects.
@@ -83,7 +83,12 @@ def _built_in() -> dict[str, EffectSpec]:
     measurement = (
         EffectSpec(e.name, e.summary, "measurement", "measurement", e.parameters) for e in faults()
     )
-    return {spec.name: spec for spec in (*_core_effects(), *material, *measurement)}
+    known = {spec.name: spec for spec in (*_core_effects(), *material, *measurement)}
+    for name in laws():
+        if name in known:
+            raise ValueError(f"law '{name}': the name is taken by an effect; expected one of its own")
+        known[name] = EffectSpec(name, f"the elastic law {name} in the place of another", "smooth", "law")
+    return known
 
 
 def effects() -> dict[str, EffectSpec]:
