@@ -80,7 +80,8 @@ class EffectSpec:
     simpler: the effect that it is where its flow is nothing, or as its level (a time) goes to zero;
     not_with_mls: why the MLS-MPM transfer cannot have it, empty where it can; settings: what its term needs
     besides numbers, of "place", "part" and "axis"; replaces: its null is no absence, for it takes the place
-    of what the parts say. Raises ValueError for a vector that has not three components.
+    of what the parts say; leaves_out: it is no term of a model: measurements are left out for it. Raises
+    ValueError for a vector that has not three components.
     """
 
     name: str
@@ -96,6 +97,7 @@ class EffectSpec:
     settings: tuple[str, ...] = ()
     replaces: bool = False
     simpler: str = ""
+    leaves_out: bool = False
 
     def __post_init__(self) -> None:
         for role in VECTORS:

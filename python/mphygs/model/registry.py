@@ -21,7 +21,7 @@ from mphygs.model.material_effect import MaterialEffect
 
 __all__ = [
     "USUAL_LAW", "EffectSpec", "ParameterSpec", "core_parameter_nulls", "core_parameter_offsets", "effect",
-    "effects", "faults", "laws", "material_effects", "point_parameter_offsets", "register",
+    "effects", "faults", "laws", "material_effects", "outliers", "point_parameter_offsets", "register",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", Fault, MaterialEffect)
@@ -81,7 +81,10 @@ def _built_in() -> dict[str, EffectSpec]:
         for e in material_effects()
     )
     measurement = (
-        EffectSpec(e.name, e.summary, "measurement", "measurement", e.parameters) for e in faults()
+        EffectSpec(
+            e.name, e.summary, "measurement", "measurement", e.parameters, leaves_out=e.leaves_out
+        )
+        for e in faults()
     )
     known = {spec.name: spec for spec in (*_core_effects(), *material, *measurement)}
     for name in laws():
@@ -102,6 +105,12 @@ def effect(name: str) -> EffectSpec:
     if name not in known:
         raise KeyError(f"unknown effect '{name}'; expected one of {', '.join(sorted(known))}")
     return known[name]
+
+
+def outliers() -> str:
+    """Name of the fault for which measurements are left out."""
+    (name,) = (spec.name for spec in _built_in().values() if spec.leaves_out)
+    return name
 
 
 def register(spec: EffectSpec) -> None:
