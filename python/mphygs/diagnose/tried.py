@@ -8,13 +8,15 @@ import numpy as np
 
 from mphygs.diagnose.contact_search import walls, with_wall
 from mphygs.diagnose.ranking import Entry, lost
-from mphygs.diagnose.trials import score_trials
+from mphygs.diagnose.thresholds import sets_in
+from mphygs.diagnose.trials import TrialScores, score_trials
 from mphygs.diagnose.trials_of import Trial, trials_of
-from mphygs.diagnose.ways import missing
+from mphygs.diagnose.ways import missing, strengths
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
+from mphygs.model.descriptor import EffectSpec
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
@@ -102,8 +104,32 @@ def tried_effects(
                 estimate,
                 {},
                 trial.belief,
-                # Trials of a wall are places, those of other effects sizes: no way leads from one to another.
-                others=tuple(t.belief for t in kept if t is not trial and effect(kind).of_role("offset")),
+                others=_others(effect(kind), trial, kept, scores, belief),
             )
         )
     return entries
+
+
+def _others(
+    spec: EffectSpec, best: Trial, trials: Sequence[Trial], scores: TrialScores, belief: Belief
+) -> tuple[Belief, ...]:
+    """Further starts of a refit. Trials of a wall are places, those of other effects sizes: no way leads from
+    one to another. Beside a level with a strength the materials are where the effect leaves them, at each
+    level: held where they are without it, they leave none of it."""
+    if spec.of_role("offset"):
+        return tuple(t.belief for t in trials if t is not best)
+    if not (spec.threshold and sets_in(spec) and strengths(spec)):
+        return ()
+    at_levels: dict[tuple[float, ...], int] = {}
+    for k, trial in enumerate(trials):
+        level = tuple(trial.belief[f"{spec.name}.{p.name}"].value for p in sets_in(spec))
+        if level not in at_levels or scores.drops[k] > scores.drops[at_levels[level]]:
+            at_levels[level] = k
+    starts = []
+    for k in at_levels.values():
+        moved = belief.at(belief.coordinates + scores.shifts[: len(belief.free), k])
+        start = trials[k].belief
+        for p in moved.free:
+            start = start.with_parameter(p.key, value=p.value)
+        starts.append(start)
+    return tuple(starts)
