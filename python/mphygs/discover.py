@@ -29,7 +29,7 @@ from mphygs.extend.__main__ import DOCUMENT
 from mphygs.extend.candidate_table import path_rows, path_text, table_text
 from mphygs.extend.discover import Discovery, discover
 from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
-from mphygs.extend.step import Step
+from mphygs.extend.step import FAULT, Step
 from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.extend.window import passed_on_the_way
 from mphygs.fit.__main__ import RUNS, FitOptions, check_options, fitted
@@ -219,7 +219,7 @@ def _conclude(
     """
     missing = None
     if found.verdict == "unknown":
-        kept = [s for s in found.steps if set(s.added) <= {"marker_outliers"}][-1]
+        kept = [s for s in found.steps if set(s.added) <= {FAULT}][-1]
         missing = unexplained(
             experiment, kept.belief, kept.spacing, seed=state.seed, start=kept.halfway, report=console.say
         )

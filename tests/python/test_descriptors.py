@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,9 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from mphygs import _core
+from mphygs.diagnose.ways import missing
+from mphygs.extend.step import FAULT as OUTLIERS
+from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.model import faults as fault_files
 from mphygs.model import material_effects as material_files
 from mphygs.model import registry
@@ -123,7 +128,8 @@ def test_all_effects_say_the_same_things_of_themselves() -> None:
     )
     assert {role for e in known.values() for role in e.scanned if role in VECTORS} == set(VECTORS)
     for name, spec in known.items():
-        assert spec.name == name and spec.summary and spec.parameters
+        assert spec.name == name and spec.summary and bool(spec.parameters) is (name not in laws())
+        assert (spec.site == "law") is (name in laws())
         for p in spec.parameters:
             assert p.lower <= p.null <= p.upper and p.scale > 0.0
             assert p.lower <= p.range[0] <= p.range[1] <= p.upper or p.scan is None
@@ -255,3 +261,54 @@ def test_faults_act_one_after_the_other() -> None:
         belief.without_effect("length_scale"), [], times, still, 0.0 * still, np.zeros((3, 1, 3, 0))
     )
     np.testing.assert_allclose(shown, scale * drifted[0])
+
+
+def test_measurements_are_left_out_for_the_fault_that_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert registry.outliers() == "marker_outliers" == OUTLIERS
+    assert [n for n, e in effects().items() if e.leaves_out] == ["marker_outliers"]
+    assert [n for n, e in effects().items() if e.carries_gravity] == ["prestress"]
+    (marker,) = (f for f in faults() if f.leaves_out)
+    monkeypatch.setattr(type(marker), "name", "strays")
+    registry._built_in.cache_clear()
+    assert registry.outliers() == "strays"
+
+
+def test_a_law_takes_the_place_of_another_and_gives_it_back() -> None:
+    belief = bar_belief(bar().capture)
+    usual, other = laws()[:2]
+    spec = effects()[other]
+    assert spec.site == "law" and not spec.in_core and not spec.parameters
+    model = belief.with_effect(other)
+    assert (model.law, model.effects, model.chosen_law) == (other, (other,), other)
+    assert model.parameters == belief.parameters
+    again = belief_from_document(json.loads(json.dumps(document_of_belief(model))))
+    assert again.law == other and again.terms == model.terms
+    back = model.without_effect(other)
+    assert (back.law, back.effects, back.chosen_law) == (usual, (), None)
+    # What was given is no effect, and what is chosen is chosen once.
+    given = replace(belief, law=other)
+    assert given.chosen_law is None and given.effects == ()
+    for of, name, why in (
+        (belief, usual, "is in the model already"),
+        (given, other, "is in the model already"),
+        (model, usual, f"'{other}' has been chosen"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            of.with_effect(name)
+    with pytest.raises(ValueError, match=f"law '{usual}': expected '{other}', which is among the effects"):
+        replace(model, law=usual)
+    # Beside it no other law is a candidate, and none beside itself.
+    names = {n for n, e in effects().items() if e.site == "law"}
+    for of, left in ((belief, names - {usual}), (given, names - {other}), (model, set())):
+        assert {spec.name for spec in missing(of, "total-lagrangian", None)} & names == left
+
+
+def test_a_model_with_another_law_moves_as_one_that_was_given_it() -> None:
+    one = bar()
+    belief = bar_belief(one.capture, youngs_modulus=(4e3, 2e3))
+    other = laws()[1]
+    chosen = one.predict(belief.with_effect(other), substep=2e-4).position
+    np.testing.assert_array_equal(chosen, one.predict(replace(belief, law=other), substep=2e-4).position)
+    assert np.abs(chosen - one.predict(belief, substep=2e-4).position).max() > 1e-6

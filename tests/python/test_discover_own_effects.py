@@ -1,4 +1,4 @@
-"""Effects in C++ from a user's folder are found by the loop, with no other file changed."""
+"""Effects and laws in C++ from a user's folder are found by the loop, with no other file changed."""
 
 from __future__ import annotations
 
@@ -51,22 +51,32 @@ def answer(site: Path, *words: object) -> dict:
     return json.loads(done.stdout)
 
 
+# A soft bar, whose strains tell limits, and laws where it is pulled aside.
+SOFT = ("--seed", 56)
+
+
 @pytest.mark.parametrize(
-    ("hidden", "name", "candidates"),
+    ("hidden", "name", "candidates", "made"),
     [
-        ("dashpot:c=0.05", "dashpot", None),  # acts at a place
-        ("restoring:k=40", "restoring", None),
+        ("dashpot:c=0.05", "dashpot", None, ("--seed", 3)),  # acts at a place
+        ("restoring:k=40", "restoring", None, ("--seed", 3)),
         # Has a history. A bar that bends does not tell it from a relaxation.
-        ("volume_memory:k=4e5:tau=0.1", "volume_memory", "volume_memory,viscosity,air_drag,gravity"),
+        ("volume_memory:k=4e5:tau=0.1", "volume_memory", "volume_memory,viscosity,air_drag,gravity",
+         ("--seed", 3)),
+        # A threshold with a strength.
+        ("locking:limit=0.02:k=1e5", "locking", None, SOFT),
+        # A law.
+        ("saint-venant-kirchhoff", "saint-venant-kirchhoff", None, (*SOFT, "--start", "pulled")),
     ],
-)
+)  # fmt: skip
 def test_an_effect_of_a_users_folder_is_found(
-    package: Path, tmp_path: Path, hidden: str, name: str, candidates: str | None
+    package: Path, tmp_path: Path, hidden: str, name: str, candidates: str | None, made: tuple
 ) -> None:
     capture = tmp_path / "capture"
-    answer(package, "mphygs.synth", "bar", "--hidden", hidden, "--seed", 3, "--out", capture)
+    answer(package, "mphygs.synth", "bar", "--hidden", hidden, *made, "--out", capture)
     among = [] if candidates is None else ["--effects", candidates]
     run = tmp_path / "run"
     found = answer(package, "mphygs.discover", capture, "--out", run, "--workers", 1, *among)
     alike = {name, *(t for step in found["steps"] if name in step["added"] for t in step["ties"])}
     assert found["verdict"] == "missing" and name in alike and set(found["effects"]) & alike
+    assert name in [row["effect"] for row in found["table"]]

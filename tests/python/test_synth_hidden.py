@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mphygs.model.registry import effects
+from mphygs.model.registry import effects, laws
 from mphygs.synth.hidden import names
 from synth_example import SIGMA, made, tracks
 
@@ -27,7 +27,9 @@ def test_what_is_hidden_changes_the_data(name, plain, tmp_path) -> None:
     result, capture = made(tmp_path, "two-part-bar", (name,))
     # The noise has the same seed and falls out of the difference.
     difference = np.nan_to_num(tracks(capture) - plain)
-    assert np.abs(difference).max() > 0.5 * SIGMA
+    # Laws are alike where strains are small.
+    least = 0.1 if name in laws() else 0.5
+    assert np.abs(difference).max() > least * SIGMA
     assert np.isfinite(difference).all()
     hidden = result.answer["hidden"][0]
     assert hidden.removeprefix("unknown:") == name

@@ -37,7 +37,7 @@ from mphygs.extend.kept import (
     write_kept,
 )
 from mphygs.extend.separate import motions_to_record
-from mphygs.extend.step import Step, excess
+from mphygs.extend.step import FAULT, Step, excess
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
@@ -81,9 +81,9 @@ def known_effects(text: str | None) -> tuple[str, ...] | None:
         if name not in effects():
             known = ", ".join(sorted(effects()))
             raise OptionError(f"unknown effect '{name}'; expected some of {known}")
-        if name == "prestress":
+        if effects()[name].carries_gravity:
             raise OptionError(
-                "--effects: prestress is not scored; expected others, or mphygs extend RUN prestress"
+                f"--effects: {name} is not scored; expected others, or mphygs extend RUN {name}"
             )
     return wanted or None
 
@@ -94,7 +94,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     parameters_of(state)  # complete, or an error
     candidates = known_effects(options.effects)
     for name in candidates or ():
-        if name in state.belief.effects:
+        if name in (*state.belief.effects, state.belief.law):
             raise OptionError(f"--effects: '{name}' is in the model already; expected another one")
     check_effects(state.transfer, candidates or ())
     so_far = state.folder / SO_FAR
@@ -122,7 +122,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         keep(rankings)
 
     if not done.documents:
-        done.tell(steps[0], experiment, before=("marker_outliers",) if state.left_out else ())
+        done.tell(steps[0], experiment, before=(FAULT,) if state.left_out else ())
         keep(())
     console.resume = _again(options)
     console.working("looking for what is missing")

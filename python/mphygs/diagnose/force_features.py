@@ -139,13 +139,12 @@ def _midway(values: np.ndarray, frames: int) -> np.ndarray:
 @dataclass(frozen=True)
 class Kind:
     """unit: of the coefficient; text: of the numbers; forces: of motion, (Q,) inside and numbers; code: the
-    force [N] in torch, None where an effect in Python cannot have it; resembles: a built-in effect."""
+    force [N] in torch, None where an effect in Python cannot have it."""
 
     unit: str
     text: Callable[[Sequence[float]], str]
     forces: Callable[[PointMotion, np.ndarray, Sequence[float]], np.ndarray]
     code: Callable[[Sequence[float]], str] | None = None
-    resembles: str | None = None
 
 
 def _drag(power: int) -> Callable[[PointMotion, np.ndarray, Sequence[float]], np.ndarray]:
@@ -216,18 +215,18 @@ def _speed_code(power: int) -> Callable[[Sequence[float]], str]:
 
 
 KINDS: dict[str, Kind] = {
-    "drag": Kind("1/s", lambda _: "v", _drag(0), _speed_code(0), "mass_damping"),
-    "quadratic_drag": Kind("1/m", lambda _: "|v| v", _drag(1), _speed_code(1), "air_drag"),
+    "drag": Kind("1/s", lambda _: "v", _drag(0), _speed_code(0)),
+    "quadratic_drag": Kind("1/m", lambda _: "|v| v", _drag(1), _speed_code(1)),
     "cubic_drag": Kind("s/m^2", lambda _: "|v|^2 v", _drag(2), _speed_code(2)),
     "surface_drag": Kind("kg/(m^2 s)", lambda _: "v per exposed area", _surface_drag(0)),
     "surface_quadratic_drag": Kind(
-        "kg/m^3", lambda _: "|v| v per exposed area", _surface_drag(1), None, "air_drag"
+        "kg/m^3", lambda _: "|v| v per exposed area", _surface_drag(1)
     ),
     "surface_cubic_drag": Kind("kg s/m^4", lambda _: "|v|^2 v per exposed area", _surface_drag(2)),
     "spring": Kind("1/s^2", lambda _: "(x - X)", _spring),
     "uniform": Kind(
         "m/s^2", lambda n: f"e_{AXES[int(n[0])]}", _uniform,
-        lambda n: f"mass * state.position.new_tensor({np.eye(3)[int(n[0])].tolist()})", "gravity",
+        lambda n: f"mass * state.position.new_tensor({np.eye(3)[int(n[0])].tolist()})",
     ),
     "harmonic": Kind(
         "m/s^2",
@@ -235,7 +234,6 @@ KINDS: dict[str, Kind] = {
         _harmonic,
         lambda n: f"mass * math.{'cos' if n[2] else 'sin'}({2 * np.pi * n[1]!r} * state.time)"
         f" * state.position.new_tensor({np.eye(3)[int(n[0])].tolist()})",
-        "base_motion",
     ),
     "point": Kind(
         "m^3/s^2",
@@ -243,9 +241,9 @@ KINDS: dict[str, Kind] = {
         _point,
         lambda n: f"mass * away(state.position, {list(n[:3])}, {n[3]!r})",
     ),
-    "strain_rate": Kind("Pa s", lambda _: "div 2 dev(D)", _strain_rate, None, "viscosity"),
+    "strain_rate": Kind("Pa s", lambda _: "div 2 dev(D)", _strain_rate),
     "strain_memory": Kind(
-        "Pa", lambda n: f"div 2 int dev(D) exp(-(t - s)/{n[0]:g} s) ds", _strain_memory, None, "relaxation"
+        "Pa", lambda n: f"div 2 int dev(D) exp(-(t - s)/{n[0]:g} s) ds", _strain_memory
     ),
 }  # fmt: skip
 

@@ -26,7 +26,8 @@ class TrialScores:
     drops: (G,) predicted drop of chi², negative where the trial makes it worse. best: index of the largest.
     p_value: chance of a best drop at least as large under the null.
     absorbed: (G,) share of each change that the fitted parameters absorb; testable: (G,) whether it can be
-    told. shifts: (p, G) change of the fitted parameters that goes with each trial.
+    told; powers: (G,) sum of squares of the rest. shifts: (p, G) change of the fitted parameters that goes
+    with each trial.
     """
 
     drops: Array
@@ -34,6 +35,7 @@ class TrialScores:
     p_value: float
     absorbed: Array
     testable: NDArray[np.bool_]
+    powers: Array
     shifts: Array
 
     @property
@@ -78,8 +80,9 @@ def score_trials(
     if testable[best] and drops[best] > 0.0:
         p_value = _best_p_value(float(drops[best]), gram[np.ix_(testable, testable)], generator, draws)
     return TrialScores(
-        drops=drops, best=best, p_value=p_value, absorbed=absorbed, testable=testable, shifts=shifts
-    )
+        drops=drops, best=best, p_value=p_value, absorbed=absorbed, testable=testable, powers=power,
+        shifts=shifts,
+    )  # fmt: skip
 
 
 def _best_p_value(drop: float, gram: Array, generator: np.random.Generator, draws: int) -> float:

@@ -8,15 +8,20 @@ import numpy as np
 
 from mphygs.diagnose.contact_search import walls, with_wall
 from mphygs.diagnose.ranking import Entry, lost
-from mphygs.diagnose.trials import score_trials
+from mphygs.diagnose.thresholds import sets_in
+from mphygs.diagnose.trials import TrialScores, score_trials
 from mphygs.diagnose.trials_of import Trial, trials_of
-from mphygs.diagnose.ways import missing
+from mphygs.diagnose.ways import missing, strengths
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.side_by_side import side_by_side
 from mphygs.model.belief import Belief
+from mphygs.model.descriptor import EffectSpec
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
+
+# Of the sum of squares: what changes less of a motion than this is not told from noise.
+TELLS = 16.0
 
 
 def tried_effects(
@@ -31,12 +36,11 @@ def tried_effects(
     names: Sequence[str] | None,
     report: Callable[[str], None] | None,
 ) -> list[Entry]:
-    """Threshold effects, soft holds, masses of known loads: the best of a few finite trials each, with the
-    p-value of the best of so many. What is tried is read off the sequence that is off most."""
+    """Threshold effects, soft holds, masses of known loads, laws: the best of a few finite trials each, with
+    the p-value of the best of so many. What is tried is read off the sequence that is off most."""
     name = evaluation.worst
-    _first, last = problem.ranges[name]
     problem = problem.with_ranges({name: problem.ranges[name], **problem.ranges})
-    observation, predictor = experiment.observations[name], problem.predictors[name]
+    observation = experiment.observations[name]
     groups: dict[str, list[Trial]] = {}
     for spec in missing(belief, problem.settings.transfer, names):
         if spec.of_role("offset"):
@@ -46,9 +50,7 @@ def tried_effects(
             )  # fmt: skip
             groups[spec.name] = [Trial(spec.name, p.label, with_wall(own, spec, p)) for own, p in found]
         else:
-            groups[spec.name] = trials_of(
-                spec, experiment.capture, predictor, belief, last, list(problem.ranges)
-            )
+            groups[spec.name] = trials_of(spec, experiment.capture, problem, belief, evaluation)
 
     def tried(own: Experiment, trial: Trial) -> Evaluation | str:
         try:
@@ -79,6 +81,11 @@ def tried_effects(
         )
         scores = score_trials(residual, jacobian, matrix, generator=generator)
         trial = kept[scores.best]
+        if not effect(kind).fitted and scores.powers[scores.best] < TELLS:
+            # There is no more of it than that.
+            why = "differs by less than noise can tell, beside numbers that are fitted"
+            entries.append(lost(kind, trial.label, why, belief, evaluation.misfit))
+            continue
         estimate = {
             p.key.rsplit(".", 1)[1]: p.value
             for p in trial.belief.parameters
@@ -97,8 +104,32 @@ def tried_effects(
                 estimate,
                 {},
                 trial.belief,
-                # Trials of a wall are places, those of other effects sizes: no way leads from one to another.
-                others=tuple(t.belief for t in kept if t is not trial and effect(kind).of_role("offset")),
+                others=_others(effect(kind), trial, kept, scores, belief),
             )
         )
     return entries
+
+
+def _others(
+    spec: EffectSpec, best: Trial, trials: Sequence[Trial], scores: TrialScores, belief: Belief
+) -> tuple[Belief, ...]:
+    """Further starts of a refit. Trials of a wall are places, those of other effects sizes: no way leads from
+    one to another. Beside a level with a strength the materials are where the effect leaves them, at each
+    level: held where they are without it, they leave none of it."""
+    if spec.of_role("offset"):
+        return tuple(t.belief for t in trials if t is not best)
+    if not (spec.threshold and sets_in(spec) and strengths(spec)):
+        return ()
+    at_levels: dict[tuple[float, ...], int] = {}
+    for k, trial in enumerate(trials):
+        level = tuple(trial.belief[f"{spec.name}.{p.name}"].value for p in sets_in(spec))
+        if level not in at_levels or scores.drops[k] > scores.drops[at_levels[level]]:
+            at_levels[level] = k
+    starts = []
+    for k in at_levels.values():
+        moved = belief.at(belief.coordinates + scores.shifts[: len(belief.free), k])
+        start = trials[k].belief
+        for p in moved.free:
+            start = start.with_parameter(p.key, value=p.value)
+        starts.append(start)
+    return tuple(starts)

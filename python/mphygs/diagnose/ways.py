@@ -16,7 +16,7 @@ import numpy as np
 from mphygs.fit.start import starting_values
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.descriptor import EffectSpec, ParameterSpec
-from mphygs.model.registry import effects
+from mphygs.model.registry import effects, laws
 from mphygs.simulate.body import Body
 from mphygs.simulate.settings import impossible_effects
 
@@ -63,7 +63,8 @@ def missing(belief: Belief, transfer: str, names: Sequence[str] | None) -> list[
     impossible = impossible_effects(transfer)
     known = effects()
     wanted = known if names is None else names
-    return [known[n] for n in wanted if n not in belief.effects and n not in impossible]
+    had = {*belief.effects, belief.law, *(laws() if belief.chosen_law else ())}
+    return [known[n] for n in wanted if n not in had and n not in impossible]
 
 
 def strengths(spec: EffectSpec) -> list[str]:
@@ -133,8 +134,8 @@ def _ways(belief: Belief, body: Body, spec: EffectSpec, late: dict) -> Iterator[
         for number, part in enumerate(body.part_names):
             yield _gradient(belief, body, spec, number, part)
         return
-    for said, settings in _placements(body, spec, late):
-        for form, values in _forms(body, spec):
+    for said, settings in placements(body, spec, late):
+        for form, values in forms(body, spec):
             label = f"{spec.name}{said}{form}{suffix}"
             if spec.of_role("anchor"):
                 yield _tied(belief, body, spec, label, settings)
@@ -142,7 +143,8 @@ def _ways(belief: Belief, body: Body, spec: EffectSpec, late: dict) -> Iterator[
                 yield plain_way(belief, spec, label, values, settings)
 
 
-def _placements(body: Body, spec: EffectSpec, late: dict) -> Iterator[tuple[str, dict]]:
+def placements(body: Body, spec: EffectSpec, late: dict) -> Iterator[tuple[str, dict]]:
+    """Where an effect is tried, in words and as settings. late: settings of what came later, or none."""
     if not spec.placed:
         yield "", dict(late)
         return
@@ -151,15 +153,19 @@ def _placements(body: Body, spec: EffectSpec, late: dict) -> Iterator[tuple[str,
         yield f" at ({said(place, place_digits(body))})", {"place": place.tolist()} | late
 
 
-def _forms(body: Body, spec: EffectSpec) -> Iterator[tuple[str, Values]]:
-    """What is scanned of an effect besides its place: words and values."""
+def forms(
+    body: Body, spec: EffectSpec, *, without: Sequence[ParameterSpec] = ()
+) -> Iterator[tuple[str, Values]]:
+    """What is scanned of an effect besides its place: words and values. without: levels that are not."""
     choices = [
-        [(f", {p.name} {v:.3g} {p.unit}", {p.name: v}) for v in levels(p)] for p in spec.of_role("level")
+        [(f", {p.name} {v:.3g} {p.unit}", {p.name: v}) for v in levels(p)]
+        for p in spec.of_role("level")
+        if p not in without
     ]
     for role, directions in (("axis", _axes), ("flow", _flows)):
         own = spec.of_role(role)
         if own:
-            choices.append([(text, _vector(own, length * x)) for text, x, length in directions(body, own)])
+            choices.append([(text, vector(own, length * x)) for text, x, length in directions(body, own)])
     for chosen in product(*choices):
         yield "".join(text for text, _ in chosen), {k: v for _, values in chosen for k, v in values.items()}
 
@@ -170,7 +176,8 @@ def levels(parameter: ParameterSpec, count: int = LEVELS) -> list[float]:
     return [float(x) for x in np.geomspace(low, high, count if high > low else 1)]
 
 
-def _vector(parameters: Sequence[ParameterSpec], x: np.ndarray) -> Values:
+def vector(parameters: Sequence[ParameterSpec], x: np.ndarray) -> Values:
+    """Three numbers of an effect that are a vector's, (3,)."""
     return {p.name: float(v) for p, v in zip(parameters, x, strict=True)}
 
 
@@ -196,7 +203,7 @@ def flow_way(belief: Belief, spec: EffectSpec, direction: np.ndarray, settings: 
     own = spec.of_role("flow")
     label = f"{spec.name} towards {', '.join(f'{x:.2f}' for x in direction)}"
     suffix = SINCE_THE_START if settings.get("at_rest") is False else ""
-    return plain_way(belief, spec, label + suffix, _vector(own, own[0].range[1] * direction), settings)
+    return plain_way(belief, spec, label + suffix, vector(own, own[0].range[1] * direction), settings)
 
 
 def placed_way(belief: Belief, spec: EffectSpec, place: np.ndarray, digits: int, settings: dict) -> Way:
@@ -212,7 +219,7 @@ def _tied(belief: Belief, body: Body, spec: EffectSpec, label: str, settings: di
     (strength,) = strengths(spec)
     columns: list[tuple[Belief, Parameter]] = []
     for step in (np.zeros(3), *np.eye(3)):
-        anchor = _vector(spec.of_role("anchor"), place + size * step)
+        anchor = vector(spec.of_role("anchor"), place + size * step)
         columns += columns_of(belief, spec.name, [strength], anchor, settings)
     return Way(spec.name, label, tuple(columns), np.zeros(4, bool), settings, {}, "anchor", size)
 

@@ -15,6 +15,7 @@ from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, plain, run
 from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
 from mphygs.extend.named import add_named
+from mphygs.extend.step import FAULT
 from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
@@ -60,7 +61,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
     for number, name in enumerate(wanted):
-        if name in state.belief.effects or name in wanted[:number]:
+        if name in (*state.belief.effects, state.belief.law, *wanted[:number]):
             raise OptionError(f"effect '{name}' is in the model already; expected another one")
     source = options.run.resolve()
     out = options.out or options.run.parent / "-".join([source.name, *wanted])
@@ -82,7 +83,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
     if not done.documents:
         # What the run leaves out of the measurements is an effect of it, though no term of the model.
-        done.tell(steps[0], experiment, before=("marker_outliers",) if state.left_out else ())
+        done.tell(steps[0], experiment, before=(FAULT,) if state.left_out else ())
     for number, name in enumerate(wanted):
         if number + 1 < len(steps):
             continue

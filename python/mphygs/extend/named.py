@@ -11,7 +11,7 @@ from mphygs.diagnose.rank import rank
 from mphygs.extend.discover import first_fit, mask_outliers
 from mphygs.extend.finer import lender_of
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
-from mphygs.extend.step import FAULT, Step
+from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
 from mphygs.model.belief import Belief
@@ -38,17 +38,18 @@ def add_named(
     Raises KeyError for an unknown effect, ValueError for one that is in the model or that changes nothing.
     """
     spec = effect(name)
-    if name in before.belief.effects or (name == "prestress" and before.belief.prestress == "equilibrium"):
+    carried = spec.carries_gravity and before.belief.prestress == "equilibrium"
+    if carried or name in (*before.belief.effects, before.belief.law):
         raise ValueError(f"effect '{name}' is in the model already; expected another one")
-    if spec.fault and not spec.fitted and name != FAULT:
+    if spec.fault and not spec.fitted and not spec.leaves_out:
         raise ValueError(f"effect '{name}' is seen in the tracks alone, and put right when they are read")
-    if name == FAULT:
+    if spec.leaves_out:
         left_out = mask_outliers(experiment, before.compared)
         if report:
             report(f"{left_out} measurements do not move with their neighbours: left out")
         experiment.problems.clear()
         return _refitted(experiment, before, before.belief, name, spacing, generator, report)
-    if name == "prestress":
+    if spec.carries_gravity:
         return _refitted(
             experiment, before, before.belief.with_effect(name), name, spacing, generator, report
         )
@@ -109,7 +110,7 @@ def _refitted(
     """A step from a belief near its minimum, and whether it pays."""
     after = first_fit(experiment, belief, spacing, report=report, warm=True)
     step = replace(after, added=(name,))
-    if name == "marker_outliers":
+    if effect(name).leaves_out:
         # Other measurements are used now: likelihoods before and after are not of the same data.
         return step, step.assessment.worst < before.assessment.worst
     gain = unseen_gain(before.compared, after.compared, generator)

@@ -12,13 +12,14 @@ from mphygs.extend.refit import Refit
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.uncertainty import grid_change
 from mphygs.model.belief import Belief
+from mphygs.model.registry import outliers
 
 # The error counts as explained below this many sigma on every range.
 EXPLAINED = 1.1
 # An effect that leaves less than this share of the excess explains most.
 LARGELY = 0.5
 # The fault that bad tracks are left out for: no effect of the motion.
-FAULT = "marker_outliers"
+FAULT = outliers()
 # An effect that leaves this share of another's excess on all frames explains more; excesses that differ by
 # less than the second number [of the noise's mean square] are the same.
 CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02

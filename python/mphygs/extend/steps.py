@@ -11,7 +11,7 @@ import numpy as np
 
 from mphygs.compare.assess import grid_shift
 from mphygs.extend.finer import compared_at, compared_by, evaluated
-from mphygs.extend.step import Step, known_budget
+from mphygs.extend.step import FAULT, Step, known_budget
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.determined import information_of
@@ -161,7 +161,7 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
     spread, information, places = uncertainty(step, experiment)
     belief = located(step.belief, places, experiment.capture.parts)
     # Corrections for faults that are not terms of the model are effects of the step all the same.
-    kept = [name for name in before if name in belief.effects or name == "marker_outliers"]
+    kept = [name for name in before if name in belief.effects or name == FAULT]
     inside = dict.fromkeys(name for name in (*kept, *belief.effects, *step.added) if name not in step.dropped)
     return {
         "effects": list(inside),

@@ -115,7 +115,7 @@ def _check_parameter(entry: Entry) -> None:
 
 
 def _check_term(settings: Entry, parts: list[str]) -> None:
-    """The constants of an effect: a place and an axis, a part and sequences by name, switches."""
+    """The constants of an effect: a place and an axis, a part, sequences and a law by name, switches."""
     settings.table()
     for key, value in settings.children():
         if key in ("place", "axis"):
@@ -123,6 +123,8 @@ def _check_term(settings: Entry, parts: list[str]) -> None:
         elif key == "part":
             if value.text() not in parts:
                 raise value.wrong(f"one of {', '.join(parts)}")
+        elif key == "instead_of":
+            value.choice(laws())
         elif isinstance(value.value, list):
             # names of sequences, or how surely a place is known along each axis
             for item in value.elements():

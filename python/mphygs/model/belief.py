@@ -96,7 +96,8 @@ class Parameter:
 class Term:
     """One effect in a model, with the constants that place or direct it.
 
-    settings: "place" (3,) [m] for effects at a place, "part" name and "axis" (3,) for gradients.
+    settings: "place" (3,) [m] for effects at a place, "part" name and "axis" (3,) for gradients, "instead_of"
+    the law that another one has taken the place of.
     """
 
     name: str
@@ -137,6 +138,9 @@ class Belief:
             raise ValueError(f"prestress '{self.prestress}': expected one of {', '.join(PRESTRESS_MODES)}")
         if self.law not in laws():
             raise ValueError(f"law '{self.law}': expected one of {', '.join(laws())}")
+        for term in self.terms:
+            if term.name in laws() and term.name != self.law:
+                raise ValueError(f"law '{self.law}': expected '{term.name}', which is among the effects")
         keys = [p.key for p in self.parameters]
         if len(set(keys)) != len(keys):
             raise ValueError("parameter keys must be unique")
@@ -164,6 +168,11 @@ class Belief:
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the model, in the order in which they were added."""
         return tuple(term.name for term in self.terms)
+
+    @property
+    def chosen_law(self) -> str | None:
+        """The law where it is an effect of the model, in the place of the one that was given."""
+        return self.law if self.law in self.effects else None
 
     def term(self, name: str) -> Term:
         """The term of an effect. Raises KeyError where the model has none of it."""
@@ -217,11 +226,16 @@ class Belief:
         """This belief with an effect added; its fitted parameters become free.
 
         values: starting values of any of its parameters; the rest start at their null.
-        Raises KeyError for an unknown effect, ValueError when it is there already.
+        Raises KeyError for an unknown effect, ValueError when it is there already, or is a law beside which
+        there is no other one.
         """
         spec = effect(name)
-        if name in self.effects:
+        if name in self.effects or name == self.law:
             raise ValueError(f"effect '{name}' is in the model already")
+        if spec.site == "law":
+            if self.chosen_law is not None:
+                raise ValueError(f"law '{name}': '{self.law}' has been chosen; expected no other one")
+            return replace(self, law=name, terms=(*self.terms, Term(name, {"instead_of": self.law})))
         if spec.carries_gravity:
             return replace(self, prestress="equilibrium")
         added = []
@@ -250,9 +264,10 @@ class Belief:
 
     def without_effect(self, name: str) -> Belief:
         """This belief with an effect taken away."""
-        _ = self.term(name)
+        term = self.term(name)
         return replace(
             self,
+            law=str(term.settings["instead_of"]) if name == self.law else self.law,
             parameters=tuple(p for p in self.parameters if not p.key.startswith(f"{name}.")),
             terms=tuple(t for t in self.terms if t.name != name),
         )

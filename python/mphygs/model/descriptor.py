@@ -71,7 +71,8 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class EffectSpec:
-    """kind: "smooth", "threshold" or "measurement"; site: where it acts in the simulation.
+    """kind: "smooth", "threshold" or "measurement"; site: where it acts in the simulation, "law" for an
+    elastic law, which has no numbers and stands in the place of another.
 
     history: numbers that it carries per point; loads_at_rest: whether it loads the object at rest as well,
     where the rest shape is an equilibrium; corrects_gravity: its three numbers add to gravity;
@@ -79,7 +80,8 @@ class EffectSpec:
     simpler: the effect that it is where its flow is nothing, or as its level (a time) goes to zero;
     not_with_mls: why the MLS-MPM transfer cannot have it, empty where it can; settings: what its term needs
     besides numbers, of "place", "part" and "axis"; replaces: its null is no absence, for it takes the place
-    of what the parts say. Raises ValueError for a vector that has not three components.
+    of what the parts say; leaves_out: it is no term of a model: measurements are left out for it. Raises
+    ValueError for a vector that has not three components.
     """
 
     name: str
@@ -95,6 +97,7 @@ class EffectSpec:
     settings: tuple[str, ...] = ()
     replaces: bool = False
     simpler: str = ""
+    leaves_out: bool = False
 
     def __post_init__(self) -> None:
         for role in VECTORS:
@@ -122,7 +125,7 @@ class EffectSpec:
     @property
     def in_core(self) -> bool:
         """Whether the compiled core computes it."""
-        return self.site not in ("material", "measurement", "user")
+        return self.site not in ("material", "law", "measurement", "user")
 
     @property
     def placed(self) -> bool:

@@ -14,7 +14,8 @@ Seen = tuple[np.ndarray, np.ndarray]
 
 class Fault:
     """name, summary, parameters: as of every effect. order: those of a lower one act first on what the
-    simulation says. What is not written here does nothing.
+    simulation says; leaves_out: measurements are left out for it, and no model has it. What is not written
+    here does nothing.
 
     values: of its parameters; times: (T,) that the measurement states [s]; position [m], velocity [m/s]:
     (T, M, 3).
@@ -24,6 +25,7 @@ class Fault:
     summary: str
     parameters: tuple[ParameterSpec, ...]
     order: int = 0
+    leaves_out: bool = False
 
     def late(self, values: Mapping[str, float]) -> float:
         """How much later than stated the frames are taken [s]; the simulation shows them then."""

@@ -1,4 +1,4 @@
-"""The effects that can be named: those of the core, those of the measurement, and the user's own.
+"""The effects that can be named: those of the core, other laws, those of the measurement, the user's own.
 
 One table that the command line, diagnosis, reports and tests read. Names, units and null values are
 those of the public list of effects.
@@ -21,7 +21,7 @@ from mphygs.model.material_effect import MaterialEffect
 
 __all__ = [
     "USUAL_LAW", "EffectSpec", "ParameterSpec", "core_parameter_nulls", "core_parameter_offsets", "effect",
-    "effects", "faults", "laws", "material_effects", "point_parameter_offsets", "register",
+    "effects", "faults", "laws", "material_effects", "outliers", "point_parameter_offsets", "register",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", Fault, MaterialEffect)
@@ -81,9 +81,17 @@ def _built_in() -> dict[str, EffectSpec]:
         for e in material_effects()
     )
     measurement = (
-        EffectSpec(e.name, e.summary, "measurement", "measurement", e.parameters) for e in faults()
+        EffectSpec(
+            e.name, e.summary, "measurement", "measurement", e.parameters, leaves_out=e.leaves_out
+        )
+        for e in faults()
     )
-    return {spec.name: spec for spec in (*_core_effects(), *material, *measurement)}
+    known = {spec.name: spec for spec in (*_core_effects(), *material, *measurement)}
+    for name in laws():
+        if name in known:
+            raise ValueError(f"law '{name}': the name is taken by an effect; expected one of its own")
+        known[name] = EffectSpec(name, f"the elastic law {name} in the place of another", "smooth", "law")
+    return known
 
 
 def effects() -> dict[str, EffectSpec]:
@@ -97,6 +105,12 @@ def effect(name: str) -> EffectSpec:
     if name not in known:
         raise KeyError(f"unknown effect '{name}'; expected one of {', '.join(sorted(known))}")
     return known[name]
+
+
+def outliers() -> str:
+    """Name of the fault for which measurements are left out."""
+    (name,) = (spec.name for spec in _built_in().values() if spec.leaves_out)
+    return name
 
 
 def register(spec: EffectSpec) -> None:

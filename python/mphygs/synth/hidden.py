@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mphygs.model.descriptor import EffectSpec
-from mphygs.model.registry import effects
+from mphygs.model.registry import USUAL_LAW, effects
 from mphygs.synth.causes import CAUSES
 from mphygs.synth.faults import DEFAULTS as FAULTS
 from mphygs.synth.faults import fault_values
@@ -31,8 +31,9 @@ class Hidden:
 
 def names() -> tuple[str, ...]:
     """Everything that can be hidden, by name."""
+    never = {USUAL_LAW, *(n for n, spec in effects().items() if spec.fault or spec.carries_gravity)}
     return (
-        *(n for n, spec in effects().items() if not spec.fault and not spec.carries_gravity),
+        *(n for n in effects() if n not in never),
         *FAULTS,
         *CAUSES,
     )

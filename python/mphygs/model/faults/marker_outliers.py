@@ -13,3 +13,4 @@ class MarkerOutliers(Fault):
     summary = "some markers do not follow the object"
     parameters = (ParameterSpec("count", "-", 0.0, 0.0, 1e6, 1.0, fitted=False),)
     order = 3
+    leaves_out = True
