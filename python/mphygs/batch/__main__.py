@@ -16,7 +16,7 @@ import tyro
 from mphygs.__main__ import COMMANDS
 from mphygs.batch.cluster import Workers, existing, local, needed
 from mphygs.batch.dispatch import dispatch
-from mphygs.batch.kept import Kept, begin_anew, read_order
+from mphygs.batch.kept import Kept, claim_batch, forget, read_order
 from mphygs.batch.order import Order, effect_lists, options_of, tasks_of
 from mphygs.batch.summary import row_of, text_of
 from mphygs.batch.view import View
@@ -72,42 +72,43 @@ def batch(options: BatchOptions, passed: tuple[str, ...], console: Console) -> A
     if options.scheduler is not None and options.workers is not None:
         raise OptionError("--workers: not with --scheduler, whose workers are used; expected one of them")
     needed()
-    kept = _kept(options, passed)
-    console.resume = _again(options, kept)
-    todo = [task for task in kept.tasks if not kept.done(task)]
-    view = View(console, before=len(kept.tasks) - len(todo), total=len(kept.tasks))
+    order, tasks, out = _asked(options, passed)
+    kept = Kept.of(order, out, tasks if options.resume else ())
+    todo = [task for task in tasks if not kept.done(task)]
+    with _workers(options, len(todo)) as pool:
+        if not options.resume:
+            forget(tasks)
+        kept = replace(kept, tasks=tasks)
+        kept.write()
+        console.resume = _again(options)
+        view = View(console, before=len(tasks) - len(todo), total=len(tasks))
 
-    def ended(task: Task, outcome: Outcome) -> None:
-        kept.end(task, outcome)
-        row = row_of(task, outcome)
-        view.ended(f"{task.name}: {row.verdict or row.line or row.state}", failed=not outcome.done)
+        def ended(task: Task, outcome: Outcome) -> None:
+            kept.end(task, outcome)
+            row = row_of(task, outcome)
+            view.ended(f"{task.name}: {row.verdict or row.line or row.state}", failed=not outcome.done)
 
-    kept.write()
-    if todo:
-        console.say(f"{len(todo)} runs of mphygs {kept.order.command}; folder {kept.out}")
-        with _workers(options, len(todo)) as pool:
-            console.begin()
-            dispatch(todo, pool, ended=ended, look=view.look, threads=options.threads)
+        console.say(f"{len(todo)} runs of mphygs {order.command}; folder {out}")
+        console.begin()
+        dispatch(todo, pool, ended=ended, look=view.look, threads=options.threads)
     rows = kept.rows()
-    failed = [row for row in rows if row.state == "failed"]
-    return Answer(kept.answer(), text_of(rows, kept.out), FAILED if failed else DONE)
+    failed = any(row.state == "failed" for row in rows)
+    return Answer(kept.answer(), text_of(rows, out), FAILED if failed else DONE)
 
 
-def _kept(options: BatchOptions, passed: tuple[str, ...]) -> Kept:
-    """The batch of these options, begun or gone on with. Raises OptionError."""
+def _asked(options: BatchOptions, passed: tuple[str, ...]) -> tuple[Order, list[Task], Path]:
+    """What is asked for, the runs that it comes to, and their folder, which is held. Raises OptionError."""
     before = None
     if options.resume:
         if options.out is None and options.command is None:
             raise OptionError("--resume: got no --out; expected the folder of a batch")
         before = read_order(_folder(options))
     order = _order(options, passed, before)
-    if order.command not in COMMANDS:
-        raise OptionError(f"--command: got '{order.command}'; expected one of {', '.join(COMMANDS)}")
     out = _folder(replace(options, command=order.command)).absolute()
     tasks = tasks_of(order, options_of(order.command, COMMANDS), out)
     if before is None:
-        begin_anew(out, tasks)
-    return Kept.of(order, out, tasks)
+        claim_batch(out)
+    return order, tasks, out
 
 
 def _folder(options: BatchOptions) -> Path:
@@ -155,8 +156,11 @@ def _seeds(text: str | None) -> tuple[int, ...]:
 
 
 @contextlib.contextmanager
-def _workers(options: BatchOptions, count: int) -> Iterator[Workers]:
-    """The workers of these options, for so many runs."""
+def _workers(options: BatchOptions, count: int) -> Iterator[Workers | None]:
+    """The workers of these options, for so many runs; none where there are no runs."""
+    if not count:
+        yield None
+        return
     if options.scheduler is not None:
         with existing(options.scheduler) as found:
             yield found
@@ -167,9 +171,9 @@ def _workers(options: BatchOptions, count: int) -> Iterator[Workers]:
         yield found
 
 
-def _again(options: BatchOptions, kept: Kept) -> str:
+def _again(options: BatchOptions) -> str:
     """The command line that goes on where this one is stopped."""
-    words = [PROGRAM, "--out", shlex.quote(str(options.out or _folder(options)))]
+    words = [PROGRAM, "--out", shlex.quote(str(_folder(options)))]
     for name in ("scheduler", "workers", "threads"):
         if getattr(options, name) is not None:
             words.append(f"--{name} {shlex.quote(str(getattr(options, name)))}")

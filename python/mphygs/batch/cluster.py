@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -58,7 +59,10 @@ class Workers:
 
     def threads(self) -> Mapping[str, int]:
         """The threads of every worker that is there now, by its address."""
-        return self.client.nthreads()
+        try:
+            return self.client.nthreads()
+        except (OSError, TimeoutError) as error:
+            raise RuntimeError("the scheduler does not answer any more; --resume goes on") from error
 
     def submit(self, address: str, task: Task, threads: int) -> Handle:
         """Begin a run on a worker."""
@@ -94,6 +98,7 @@ def local(workers: int, threads: int) -> Iterator[Workers]:
     from distributed import Client, LocalCluster, Security
 
     with (
+        _quiet(),
         LocalCluster(
             n_workers=workers,
             threads_per_worker=threads,
@@ -101,8 +106,9 @@ def local(workers: int, threads: int) -> Iterator[Workers]:
             dashboard_address=None,
             worker_dashboard_address=None,
             memory_limit=None,
-            silence_logs=logging.CRITICAL,
+            silence_logs=logging.CRITICAL,  # of the worker processes
             security=Security.temporary(),
+            preload=["mphygs.batch.deaf"],
         ) as cluster,
         Client(cluster, timeout=ANSWER) as client,
     ):
@@ -114,11 +120,25 @@ def existing(address: str) -> Iterator[Workers]:
     """The workers of a scheduler. Raises OptionError where none answers."""
     from distributed import Client
 
+    if not re.fullmatch(r"([a-z]+://)?[^\s/]+:[0-9]+", address):
+        raise OptionError(f"--scheduler: got '{address}'; expected tcp://HOST:PORT of a scheduler")
+    with _quiet():
+        try:
+            client = Client(address, timeout=ANSWER, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise OptionError(
+                f"--scheduler: no scheduler answers at {address}; expected tcp://HOST:PORT of one"
+            ) from error
+        with client:
+            yield Workers(client)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """What the libraries log of lost connections is told in one line where it matters."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     try:
-        client = Client(address, timeout=ANSWER, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise OptionError(
-            f"--scheduler {address}: no scheduler answers ({error}); expected tcp://HOST:PORT of one"
-        ) from error
-    with client:
-        yield Workers(client)
+        yield
+    finally:
+        logging.disable(before)

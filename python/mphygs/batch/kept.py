@@ -87,13 +87,18 @@ class Kept:
         }
 
 
-def begin_anew(out: Path, tasks: Sequence[Task]) -> None:
+def claim_batch(out: Path) -> None:
     """Hold the folder of a batch that begins. Raises OptionError where that would destroy another's files."""
+    if (out / "capture.json").exists():
+        raise OptionError(f"--out {out}: holds a capture; expected a new folder")
     claim_capture(out)
     for name in (DOCUMENT, TABLE, PAGE):
         claim_file(out / name)
+
+
+def forget(tasks: Sequence[Task]) -> None:
+    """Take away what an older batch has said: a run goes on only where it was begun by this one."""
     for task in tasks:
-        # what an older batch has said: a run goes on only where it was begun by this one
         for path in (task.log, task.outcome):
             path.unlink(missing_ok=True)
 

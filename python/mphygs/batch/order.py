@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -155,7 +157,8 @@ def _check(order: Order, options_type: type[CommonOptions], takes: set[str], own
     effects = order.each_effect[0] if order.each_effect else None
     line = _line(replace(order, plugin=None), takes, _ANY, effects, None, Path(_ANY) if own else None)
     try:
-        found = read_options(options_type, program, line)
+        with contextlib.redirect_stdout(io.StringIO()):
+            found = read_options(options_type, program, line)
     except OptionError as error:
         raise OptionError(f"after --: {error}") from None
     if found is None:
