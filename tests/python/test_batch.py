@@ -2,6 +2,8 @@
 
 import contextlib
 import csv
+import importlib.util
+import io
 import json
 import os
 import signal
@@ -14,6 +16,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from safetensors.numpy import load_file
 
 from command_example import SPACING, answer, call, make_capture
 from mphygs import in_use
@@ -21,11 +24,13 @@ from mphygs.__main__ import COMMANDS
 from mphygs.__main__ import main as mphygs
 from mphygs.batch import __main__ as command
 from mphygs.batch import cluster, work
-from mphygs.batch.dispatch import MOST_LOST, dispatch
+from mphygs.batch.dispatch import MOST_LOST, Running, dispatch
 from mphygs.batch.order import Order, options_of, tasks_of
 from mphygs.batch.page import page
 from mphygs.batch.summary import Row, csv_text, row_of
+from mphygs.batch.view import View
 from mphygs.batch.work import Outcome, Task
+from mphygs.console import Console
 from mphygs.fit import __main__ as fit
 from mphygs.fit.run import load_run
 from mphygs.in_use import held, hold
@@ -461,6 +466,39 @@ def test_the_page_sorts_by_any_column_without_a_network(tmp_path: Path) -> None:
         assert colour == "rgb(213, 94, 0)"
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("stream", [io.StringIO(), Terminal()])
+def test_all_runs_are_shown_in_one_view(
+    stream: io.StringIO, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    view = View(Console(stream), before=1, total=4)
+    running = []
+    for name, said in (("bar", "reading\n[ 12 %, 3 s] coarse\n"), ("longer", "")):
+        one = task(name, tmp_path)
+        one.log.parent.mkdir(exist_ok=True)
+        one.log.write_text(said)
+        running.append(Running(one, "a", 1, None))
+    view.look([], 0)
+    first = stream.getvalue()
+    assert first == "1 of 4 done, 0 under way on 0 workers: waiting for one\n"
+    view.ended("bar: missing", failed=True)
+    view.look(running, 2)
+    shown = stream.getvalue()[len(first) :]
+    if stream.isatty():
+        assert shown.startswith("\x1b[1F\x1b[J[ 33 %, ")
+        assert shown.endswith(
+            "2 of 4 done, 1 failed, 2 under way on 2 workers\n  bar     [ 12 %, 3 s] coarse\n  longer  \n"
+        )
+    else:
+        assert shown.startswith("[ 33 %, ") and shown.count("\n") == 1
+    assert "2 of 4 done, 1 failed; bar: missing\n" in shown
+
+
 # ---- whole commands -----------------------------------------------------------------------------
 @dataclass
 class Here:
@@ -622,3 +660,19 @@ def test_the_first_folder_may_be_named_as_an_option_is(tmp_path: Path) -> None:
     asked = order("-odd", place=str(tmp_path))
     assert next(iter(runs(asked).values()))[1] == "./-odd"
     assert runs(replace(asked, folders=("even",)))["even"][1] == "even"
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed")
+def test_a_run_on_a_worker_is_as_if_it_were_alone(captures: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    line = [sys.executable, "-m", "mphygs.batch", captures[0], "--command", "fit", "--out", out, "--json"]
+    line += ["--workers", "1", "--", *OPTIONS]
+    done = subprocess.run(list(map(str, line)), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    alone = answer(fit.main, captures[0], "--out", tmp_path / "alone", *OPTIONS)
+    (found,) = json.loads(done.stdout)["runs"]
+    assert found["parameters"] == alone["parameters"]
+    kept = json.loads((out / "logs" / "bar.json").read_text())["answer"]
+    assert kept["sequences"] == alone["sequences"]
+    numbers = [load_file(run / "numbers.safetensors") for run in (out / "bar", tmp_path / "alone")]
+    assert all((numbers[0][key] == numbers[1][key]).all() for key in numbers[1])

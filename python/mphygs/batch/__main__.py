@@ -14,7 +14,7 @@ from typing import Annotated
 import tyro
 
 from mphygs.__main__ import COMMANDS
-from mphygs.batch.cluster import Workers, existing, local, needed
+from mphygs.batch.cluster import Workers, check_address, existing, local, needed
 from mphygs.batch.dispatch import dispatch
 from mphygs.batch.kept import Kept, claim_batch, forget, read_order
 from mphygs.batch.order import Order, effect_lists, options_of, tasks_of
@@ -37,7 +37,7 @@ class BatchOptions(CommonOptions):
     folders: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Captures, or runs where the command takes one."""
     command: str | None = None
-    """What is run on each of them: fit, discover, extend, diagnose, compare, ..."""
+    """What is run on each of them, with the options that follow "--": fit, discover, extend, diagnose, ..."""
     out: Path | None = None
     """Folder of the table and of the runs, each in a folder of its name; default: runs/batch-COMMAND."""
     seeds: Annotated[str | None, tyro.conf.arg(metavar="0,1,2")] = None
@@ -71,8 +71,10 @@ def batch(options: BatchOptions, passed: tuple[str, ...], console: Console) -> A
         raise OptionError(f"--threads: got {options.threads}; expected 1 or more")
     if options.scheduler is not None and options.workers is not None:
         raise OptionError("--workers: not with --scheduler, whose workers are used; expected one of them")
-    needed()
+    if options.scheduler is not None:
+        check_address(options.scheduler)
     order, tasks, out = _asked(options, passed)
+    needed()
     kept = Kept.of(order, out, tasks if options.resume else ())
     todo = [task for task in tasks if not kept.done(task)]
     with _workers(options, len(todo)) as pool:
@@ -81,15 +83,14 @@ def batch(options: BatchOptions, passed: tuple[str, ...], console: Console) -> A
         kept = replace(kept, tasks=tasks)
         kept.write()
         console.resume = _again(options)
-        view = View(console, before=len(tasks) - len(todo), total=len(tasks))
-
         def ended(task: Task, outcome: Outcome) -> None:
             kept.end(task, outcome)
             row = row_of(task, outcome)
             view.ended(f"{task.name}: {row.verdict or row.line or row.state}", failed=not outcome.done)
 
         console.say(f"{len(todo)} runs of mphygs {order.command}; folder {out}")
-        console.begin()
+        # a view of its own in the place of the live line, its clock begun here
+        view = View(Console(console.stream), before=len(tasks) - len(todo), total=len(tasks))
         dispatch(todo, pool, ended=ended, look=view.look, threads=options.threads)
     rows = kept.rows()
     failed = any(row.state == "failed" for row in rows)

@@ -31,6 +31,12 @@ def needed() -> None:
         ) from error
 
 
+def check_address(address: str) -> None:
+    """Raises OptionError for what is no address of a scheduler."""
+    if not re.fullmatch(r"([a-z]+://)?[^\s/]+:[0-9]+", address):
+        raise OptionError(f"--scheduler: got '{address}'; expected tcp://HOST:PORT of a scheduler")
+
+
 @dataclass(frozen=True)
 class _Future:
     """A run on a worker, as a future of dask."""
@@ -120,8 +126,6 @@ def existing(address: str) -> Iterator[Workers]:
     """The workers of a scheduler. Raises OptionError where none answers."""
     from distributed import Client
 
-    if not re.fullmatch(r"([a-z]+://)?[^\s/]+:[0-9]+", address):
-        raise OptionError(f"--scheduler: got '{address}'; expected tcp://HOST:PORT of a scheduler")
     with _quiet():
         try:
             client = Client(address, timeout=ANSWER, set_as_default=False)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from mphygs.batch.dispatch import Running
 from mphygs.batch.work import last_line
-from mphygs.command import Console
+from mphygs.console import Console, is_terminal
 
 # Seconds between two views: where they take each other's place, and where each is written below the last.
 REDRAWN, TOLD = 0.5, 30.0
@@ -23,7 +23,7 @@ class View:
     def __init__(self, console: Console, *, before: int, total: int) -> None:
         self._console, self._before, self._total = console, before, total
         self._done, self._failed = before, 0
-        self._terminal = console.stream.isatty()
+        self._terminal = is_terminal(console.stream)
         self._lines, self._next = 0, 0.0
 
     def ended(self, text: str, *, failed: bool) -> None:
