@@ -17,10 +17,11 @@ from mphygs.__main__ import COMMANDS
 from mphygs.batch.cluster import Workers, check_address, existing, local, needed
 from mphygs.batch.dispatch import dispatch
 from mphygs.batch.kept import Kept, claim_batch, forget, read_order
-from mphygs.batch.order import Order, effect_lists, options_of, tasks_of
+from mphygs.batch.order import LOGS, Order, effect_lists, options_of, tasks_of
 from mphygs.batch.summary import row_of, text_of
 from mphygs.batch.view import View
 from mphygs.batch.work import Outcome, Task
+from mphygs.claim import kept_inside
 from mphygs.command import DONE, FAILED, Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.fit.__main__ import RUNS
 from mphygs.simulate.settings import available_cores
@@ -78,6 +79,7 @@ def batch(options: BatchOptions, passed: tuple[str, ...], console: Console) -> A
     kept = Kept.of(order, out, tasks if options.resume else ())
     todo = [task for task in tasks if not kept.done(task)]
     with _workers(options, len(todo)) as pool:
+        kept_inside(out, LOGS)
         if not options.resume:
             forget(tasks)
         kept = replace(kept, tasks=tasks)

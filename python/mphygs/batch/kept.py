@@ -43,7 +43,6 @@ class Kept:
     def end(self, task: Task, outcome: Outcome) -> None:
         """Keep what came of a run, and the tables with it."""
         self.outcomes[task.name] = outcome
-        task.outcome.parent.mkdir(exist_ok=True)
         replace_file(task.outcome, json.dumps(plain(asdict(outcome)), indent=1) + "\n")
         self.write()
 
