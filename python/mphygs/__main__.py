@@ -17,6 +17,7 @@ COMMANDS = {
     "diagnose": ("mphygs.diagnose.__main__", "which physical effect is missing, if any"),
     "extend": ("mphygs.extend.__main__", "add effects, refit, show before and after"),
     "discover": ("mphygs.discover", "fit, compare, diagnose, extend, until the error is explained"),
+    "batch": ("mphygs.batch.__main__", "one of these on many folders side by side, and one table of them"),
     "report": ("mphygs.report.__main__", "one self-contained HTML file"),
     "view": ("mphygs.view", "a live 3D viewer in the browser"),
     "register": ("mphygs.register", "where the object at rest is in frame 0 of its videos"),

@@ -24,11 +24,13 @@ _KEYS = {
     "diagnosis-so-far.json": ("steps", "states"),
     "steps.json": ("steps",),
     COMPARISON: ("sequences", "adequate"),
+    "batch.json": ("format", "order"),
 }
 _HEADS = {
     ".html": (b"<!doctype html>", b"<title>mphygs: "),
     ".safetensors": (b"", b"mphygs"),
     ".py": (b'"""', b"as an effect of the model."),
+    ".csv": (b"run,folder,seed,", b""),
 }
 _HEAD = 4096  # bytes
 # Pictures that `compare` drew of it.

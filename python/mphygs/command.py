@@ -60,10 +60,11 @@ OptionsType = TypeVar("OptionsType", bound=CommonOptions)
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found. document: for --json; text: for people."""
+    """What a command found. document: for --json; text: for people; code: to exit with."""
 
     document: dict[str, object]
     text: str
+    code: int = DONE
 
 
 def names(text: str | None) -> tuple[str, ...]:
@@ -110,25 +111,29 @@ def check_gain(gain: float | None) -> None:
         raise OptionError(f"--feedback: got {gain:g}; expected a gain above 0, at most 1")
 
 
-def _parse(options_type: type[OptionsType], program: str, argv: Sequence[str] | None) -> OptionsType | int:
-    """The options, or the exit code where there are none: after --help, or for a line that cannot be read."""
+def read_options(
+    options_type: type[OptionsType], program: str, words: Sequence[str]
+) -> OptionsType | None:
+    """The options that the words of a command line give; None after --help, which is printed.
+
+    Raises OptionError for words that cannot be read.
+    """
     heard = io.StringIO()
     try:
         with contextlib.redirect_stderr(heard):
             return tyro.cli(
                 options_type,
                 prog=program,
-                args=_with_values(sys.argv[1:] if argv is None else argv),
+                args=_with_values(words),
                 config=(tyro.conf.FlagCreatePairsOff,),
             )
     except SystemExit as stop:
         if stop.code in (0, None):
-            return DONE
+            return None
         complaint = heard.getvalue().split("For full helptext")[0]
         # The parser draws its complaint in a box.
         words = re.sub(r"[─-╿]+|-{3,}", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
-        sys.stderr.write(f"{program}: {one_line(words)} (see {program} --help)\n")
-        return AT_FAULT
+        raise OptionError(f"{one_line(words)} (see {program} --help)") from None
 
 
 def run(
@@ -139,9 +144,13 @@ def run(
     argv: Sequence[str] | None = None,
 ) -> int:
     """Run one command and return its exit code. argv: None takes the process's own arguments."""
-    options = _parse(options_type, program, argv)
-    if isinstance(options, int):
-        return options
+    try:
+        options = read_options(options_type, program, sys.argv[1:] if argv is None else argv)
+    except OptionError as error:
+        sys.stderr.write(f"{program}: {error}\n")
+        return AT_FAULT
+    if options is None:
+        return DONE
     console = Console(sys.stderr, live=not options.json)
     answer, code = _guarded(action, options, console, program)
     if answer is None:
@@ -221,7 +230,8 @@ def _guarded(
     try:
         # Whatever a library prints must not reach the answer's stream.
         with contextlib.redirect_stdout(sys.stderr), working(options):
-            return action(options, console), DONE
+            answer = action(options, console)
+            return answer, answer.code
     except KeyboardInterrupt:
         console.end()
         hint = f"; continue with: {_with_plugin(console.resume, options)}" if console.resume else ""

@@ -61,14 +61,15 @@ class Console:
             self._line = None
 
     def _show(self, text: str, share: float | None, left: float | None) -> bool:
-        if self._line is None and self.live and _is_terminal(self.stream):
+        if self._line is None and self.live and is_terminal(self.stream):
             self._line = _LiveLine(self.stream)
         if self._line is not None:
             self._line.show(text, share, left)
         return self._line is not None
 
 
-def _is_terminal(stream: TextIO) -> bool:
+def is_terminal(stream: TextIO) -> bool:
+    """Whether what is written to a stream can be redrawn."""
     return stream.isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 

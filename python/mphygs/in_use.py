@@ -41,6 +41,21 @@ def is_marked(folder: Path) -> bool:
         return False
 
 
+def is_held(folder: Path) -> bool:
+    """Whether another process writes to a folder now."""
+    try:
+        descriptor = os.open(folder / MARK, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno in (errno.EAGAIN, errno.EACCES)
+    finally:
+        os.close(descriptor)
+    return False
+
+
 def hold(folder: Path) -> None:
     """Make a folder, mark it, and keep other commands from writing there until `held` ends.
 

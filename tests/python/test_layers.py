@@ -44,11 +44,11 @@ def violations(source: str, package: str) -> set[str]:
 
 
 def modules() -> list[Path]:
-    """Commands (__main__.py) and the interface in Python (api) stand above all packages."""
+    """Commands (__main__.py), batches of them and the interface in Python (api) stand above all packages."""
     return sorted(
         path
         for path in ROOT.rglob("*.py")
-        if path.parent not in (ROOT, ROOT / "api") and path.name != "__main__.py"
+        if path.parent not in (ROOT, ROOT / "api", ROOT / "batch") and path.name != "__main__.py"
     )
 
 

@@ -42,5 +42,5 @@ def test_the_site_builds_and_tells_of_everything(tmp_path: Path) -> None:
 
 def test_every_command_is_in_the_table_of_files() -> None:
     told = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
-    for name in ("fit", "predict", "compare", "diagnose", "extend", "discover", "doctor", "init"):
+    for name in ("fit", "predict", "compare", "diagnose", "extend", "discover", "doctor", "init", "batch"):
         assert f"`{name}`" in told

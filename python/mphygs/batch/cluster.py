@@ -1,0 +1,148 @@
+"""Workers of dask.distributed: a cluster on this machine, or those of a scheduler that is there already."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mphygs.batch.dispatch import Handle
+from mphygs.batch.work import Outcome, Task, work
+from mphygs.capture.errors import one_line
+from mphygs.command import FAILED, OptionError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+# Seconds within which a scheduler answers, and a cluster is shut down.
+ANSWER = 10.0
+
+
+def needed() -> None:
+    """Raises OptionError where dask.distributed is not installed."""
+    try:
+        import distributed  # noqa: F401
+    except ImportError as error:
+        raise OptionError(
+            f"batch needs dask.distributed ({error}); expected it installed: pip install 'mphygs[cluster]'"
+        ) from error
+
+
+def check_address(address: str) -> None:
+    """Raises OptionError for what is no address of a scheduler."""
+    if not re.fullmatch(r"([a-z]+://)?[^\s/]+:[0-9]+", address):
+        raise OptionError(f"--scheduler: got '{address}'; expected tcp://HOST:PORT of a scheduler")
+
+
+@dataclass(frozen=True)
+class _Future:
+    """A run on a worker, as a future of dask."""
+
+    future: Future
+
+    def done(self) -> bool:
+        return self.future.done()
+
+    def result(self) -> Outcome:
+        try:
+            return self.future.result()
+        except Exception as error:  # the worker's own: this one run fails, the others go on
+            line = one_line(f"the worker could not run it: {type(error).__name__}: {error}")
+            return Outcome(FAILED, line, None, 0.0)
+
+    def cancel(self) -> None:
+        self.future.cancel()
+
+
+@dataclass(frozen=True)
+class Workers:
+    """The workers of a scheduler. client: connected to it."""
+
+    client: Client
+
+    def threads(self) -> Mapping[str, int]:
+        """The threads of every worker that is there now, by its address."""
+        try:
+            return self.client.nthreads()
+        except (OSError, TimeoutError) as error:
+            raise RuntimeError("the scheduler does not answer any more; --resume goes on") from error
+
+    def submit(self, address: str, task: Task, threads: int) -> Handle:
+        """Begin a run on a worker."""
+        return _Future(
+            self.client.submit(
+                on_worker, task, threads, workers=[address], allow_other_workers=False, pure=False, retries=0
+            )
+        )
+
+
+def on_worker(task: Task, threads: int) -> Outcome:
+    """What a worker is sent: a run, which ends as soon as nobody wants it any more."""
+    return work(task, threads, withdrawn=_withdrawn())
+
+
+def _withdrawn() -> Callable[[], bool]:
+    """Whether the task that this thread works on was cancelled, or its client is gone."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    key = worker.get_current_task()
+
+    def asked() -> bool:
+        task = worker.state.tasks.get(key)
+        return task is None or task.state in ("cancelled", "resumed")
+
+    return asked
+
+
+@contextlib.contextmanager
+def local(workers: int, threads: int) -> Iterator[Workers]:
+    """Worker processes on this machine, which alone can reach them; one that ends is begun anew."""
+    from distributed import Client, LocalCluster, Security
+
+    with (
+        _quiet(),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=threads,
+            processes=True,
+            dashboard_address=None,
+            worker_dashboard_address=None,
+            memory_limit=None,
+            silence_logs=logging.CRITICAL,  # of the worker processes
+            security=Security.temporary(),
+            preload=["mphygs.batch.deaf"],
+        ) as cluster,
+        Client(cluster, timeout=ANSWER) as client,
+    ):
+        yield Workers(client)
+
+
+@contextlib.contextmanager
+def existing(address: str) -> Iterator[Workers]:
+    """The workers of a scheduler. Raises OptionError where none answers."""
+    from distributed import Client
+
+    with _quiet():
+        try:
+            client = Client(address, timeout=ANSWER, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise OptionError(
+                f"--scheduler: no scheduler answers at {address}; expected tcp://HOST:PORT of one"
+            ) from error
+        with client:
+            yield Workers(client)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """What the libraries log of lost connections is told in one line where it matters."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)
