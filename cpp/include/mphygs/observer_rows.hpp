@@ -22,10 +22,11 @@ class ObserverRows {
     using Quad = Vector<T, 4>;
     static constexpr std::size_t quad = 4;
 
-    /// stride: carriers, padded to whole packs; pulled(n): whether carrier n moves at all.
+    /// stride: what is pulled, padded to whole packs; row(n): row of G of the n-th, -1 where it is not.
     template <class F>
-    ObserverRows(const Observer& observer, std::size_t stride, const F& pulled) : observer_(observer), stride_(stride), size_(observer.reach_size()) {
-        std::vector<std::int32_t> place(stride, -1);
+    ObserverRows(const Observer& observer, std::size_t stride, const F& row) : observer_(observer), stride_(stride), size_(observer.reach_size()) {
+        const auto last = std::max_element(observer.row_carrier.begin(), observer.row_carrier.end());
+        std::vector<std::int32_t> place(last == observer.row_carrier.end() ? 0 : static_cast<std::size_t>(*last) + 1, -1);
         for (const std::int32_t n : observer.row_carrier) {
             std::int32_t& at = place[static_cast<std::size_t>(n)];
             if (at < 0) {
@@ -35,7 +36,7 @@ class ObserverRows {
             row_at_.push_back(static_cast<std::size_t>(at));
         }
         row_weight_.assign(observer.row_weight.begin(), observer.row_weight.end());
-        pack_pulls(pulled);
+        pack_pulls(row);
     }
 
     std::size_t channels() const { return observer_.channel_count(); }
@@ -147,14 +148,15 @@ class ObserverRows {
         return static_cast<T>(observer_.share[interval * channels() + channel]);
     }
     template <class F>
-    void pack_pulls(const F& pulled) {
+    void pack_pulls(const F& row) {
         const Observer& o = observer_;
-        const std::size_t carriers = o.reach_begin.size() - 1;
         std::vector<std::int32_t> slot(channels(), -1);
         pack_begin_ = {0};
         for (std::size_t first = 0; first < stride_; first += lanes) {
-            for (std::size_t n = first; n < std::min(first + lanes, carriers); ++n) {
-                for (auto r = static_cast<std::size_t>(o.reach_begin[n]); pulled(n) && r < static_cast<std::size_t>(o.reach_begin[n + 1]); ++r) {
+            for (std::size_t n = first; n < first + lanes; ++n) {
+                const std::int32_t own = row(n);
+                const std::size_t end = own < 0 ? 0 : static_cast<std::size_t>(o.reach_begin[static_cast<std::size_t>(own) + 1]);
+                for (std::size_t r = own < 0 ? 0 : static_cast<std::size_t>(o.reach_begin[static_cast<std::size_t>(own)]); r < end; ++r) {
                     std::int32_t& at = slot[static_cast<std::size_t>(o.reach_channel[r])];
                     if (at < 0) {
                         at = static_cast<std::int32_t>(pack_channel_.size());

@@ -40,7 +40,8 @@ class Feedback:
 
     gain: 0 (none) to 1 (a memory of 2 / fps), it scales the acceleration; position: (T, M, 3) measured [m],
     NaN where it is not; rest: (M, 3) markers at rest [m]; free: (M,) markers that the material carries and
-    that were seen; rows: sparse (channels, carriers); reach: sparse (carriers, channels), or in blocks.
+    that were seen; rows: sparse (channels, carriers); reach: sparse (carriers, channels), or in blocks; row:
+    (carriers,) which row of reach each has, -1 for none, where several have one.
     """
 
     recording: Recording
@@ -50,6 +51,7 @@ class Feedback:
     free: np.ndarray
     rows: csr_matrix = field(repr=False)
     reach: csr_matrix | bsr_matrix = field(repr=False)
+    row: np.ndarray | None = field(repr=False, default=None)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.gain <= 1.0:
@@ -68,7 +70,7 @@ class Feedback:
         """Feedback of a recording. transfer: whose carriers are pulled; position: (T, M, 3) [m], NaN where a
         marker was not seen or is left out.
 
-        Raises ValueError where the gain is not between 0 and 1, or the transfer has no feedback.
+        Raises ValueError where the gain is not between 0 and 1.
         """
         a = carriers.attachment
         rest = a.anchor + a.offset
@@ -85,7 +87,7 @@ class Feedback:
         begin = np.repeat(np.arange(count), index.shape[1])
         shape = (count, len(transfer.places_at_rest()))
         rows = csr_matrix((value.ravel(), (begin, index.ravel())), shape=shape)
-        return cls(recording, gain, position, rest, free, rows, transfer.spread(rows, rest[free]))
+        return cls(recording, gain, position, rest, free, rows, *transfer.spread(rows, rest[free]))
 
     def scaled(self, gain: float) -> Feedback:
         """The same with another gain."""
@@ -109,6 +111,7 @@ class Feedback:
             stiffness=self.omega**2,
             damping=2.0 * DAMPING_RATIO * self.omega,
             share=self._share(timeline),
+            reach_row=np.asarray([] if self.row is None else self.row, np.int32),
         )
         return full.scaled(self.gain)
 

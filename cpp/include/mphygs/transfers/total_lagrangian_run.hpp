@@ -42,7 +42,9 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         });
         lambda_rows_.assign(static_cast<std::size_t>(lanes) * 3 * model.geometry_.row_count(), 0.0);
         if (inputs.observer) {
-            observer_.emplace(*inputs.observer, stride_, [&](std::size_t k) { return inverse_mass_[k] != T{}; });
+            observer_.emplace(*inputs.observer, stride_, [&](std::size_t k) {
+                return k < model.node_count() && inverse_mass_[k] != T{} ? inputs.observer->reach_row_of(k) : -1;
+            });
         }
         int first = 0;
         for (const int steps : schedule.steps) {
