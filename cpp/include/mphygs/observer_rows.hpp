@@ -141,7 +141,7 @@ class ObserverRows {
   private:
     using P = Pack<T>;
     static constexpr std::size_t lanes = lane_count;
-    static constexpr std::size_t abreast = 2;  // columns whose sums registers hold
+    static constexpr std::size_t abreast = 5;  // columns whose sums registers hold
     static constexpr int share = 16;           // packs that a thread takes at a time
 
     T share_of(std::size_t interval, std::size_t channel) const {
@@ -181,25 +181,38 @@ class ObserverRows {
         for (; k + abreast <= asked.size(); k += abreast) {
             pull_columns<Size, abreast>(b, h, &asked[k], &pulled[k]);
         }
-        for (; k < asked.size(); ++k) {
+        for (; k + 2 <= asked.size(); k += 2) {
+            pull_columns<Size, 2>(b, h, &asked[k], &pulled[k]);
+        }
+        if (k < asked.size()) {
             pull_columns<Size, 1>(b, h, &asked[k], &pulled[k]);
         }
     }
-    /// A column's sums are the same to the bit whatever stands beside it.
+    /// A column's sums are the same to the bit whatever stands beside it: of the first half of the channels, and of the
+    /// second. One column alone has both at once, for its chains would be long.
     template <std::size_t Size, std::size_t Columns>
     void pull_columns(std::size_t b, T h, const T* const* asked, T* const* pulled) const {
-        P even[Columns][3] = {}, odd[Columns][3] = {};  // two short chains for one long
-        std::size_t r = pack_begin_[b];
-        for (; r + 2 <= pack_begin_[b + 1]; r += 2) {
-            add_channel<Size, Columns>(r, asked, even);
-            add_channel<Size, Columns>(r + 1, asked, odd);
+        const std::size_t begin = pack_begin_[b], half = (pack_begin_[b + 1] - begin) / 2, middle = begin + half;
+        P first[Columns][3] = {}, second[Columns][3] = {};
+        if constexpr (Columns == 1) {
+            for (std::size_t r = 0; r < half; ++r) {
+                add_channel<Size, Columns>(begin + r, asked, first);
+                add_channel<Size, Columns>(middle + r, asked, second);
+            }
+        } else {
+            for (std::size_t r = begin; r < middle; ++r) {
+                add_channel<Size, Columns>(r, asked, first);
+            }
+            for (std::size_t r = middle; r < middle + half; ++r) {
+                add_channel<Size, Columns>(r, asked, second);
+            }
         }
-        if (r < pack_begin_[b + 1]) {
-            add_channel<Size, Columns>(r, asked, even);
+        if (middle + half < pack_begin_[b + 1]) {
+            add_channel<Size, Columns>(middle + half, asked, second);
         }
         for (std::size_t j = 0; j < Columns; ++j) {
             for (std::size_t c = 0; c < 3; ++c) {
-                store<T>(pulled[j] + c * stride_ + b * lanes, h * (even[j][c] + odd[j][c]));
+                store<T>(pulled[j] + c * stride_ + b * lanes, h * (first[j][c] + second[j][c]));
             }
         }
     }
