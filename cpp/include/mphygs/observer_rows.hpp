@@ -177,15 +177,16 @@ class ObserverRows {
 
     template <std::size_t Size>
     void pull_pack(std::size_t b, T h, const std::vector<const T*>& asked, const std::vector<T*>& pulled) const {
-        std::size_t k = 0;
-        for (; k + abreast <= asked.size(); k += abreast) {
-            pull_columns<Size, abreast>(b, h, &asked[k], &pulled[k]);
-        }
-        for (; k + 2 <= asked.size(); k += 2) {
-            pull_columns<Size, 2>(b, h, &asked[k], &pulled[k]);
-        }
-        if (k < asked.size()) {
-            pull_columns<Size, 1>(b, h, &asked[k], &pulled[k]);
+        for (std::size_t k = 0; k < asked.size(); k += abreast) {
+            const T* const* from = &asked[k];
+            T* const* to = &pulled[k];
+            switch (std::min(abreast, asked.size() - k)) {
+                case 1: pull_columns<Size, 1>(b, h, from, to); break;
+                case 2: pull_columns<Size, 2>(b, h, from, to); break;
+                case 3: pull_columns<Size, 3>(b, h, from, to); break;
+                case 4: pull_columns<Size, 4>(b, h, from, to); break;
+                default: pull_columns<Size, abreast>(b, h, from, to);
+            }
         }
     }
     /// A column's sums are the same to the bit whatever stands beside it: of the first half of the channels, and of the
