@@ -16,6 +16,7 @@ from safetensors.numpy import load_file, save
 from any_document import SCRIPT, SETTINGS, mutations, one_line
 from command_example import SPACING, answer, call, make_capture
 from mphygs import discover, view
+from mphygs.claim import is_written
 from mphygs.compare import __main__ as compare
 from mphygs.diagnose import __main__ as diagnose
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
@@ -66,6 +67,11 @@ class Folders:
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> Folders:
     return Folders(tmp_path_factory.mktemp("folders"))
+
+
+def test_every_finding_is_known_as_written_here(folders: Folders) -> None:
+    for path in (folders.diagnosis, folders.so_far, folders.steps, folders.force):
+        assert is_written(path), path
 
 
 def document(path: Path) -> dict:

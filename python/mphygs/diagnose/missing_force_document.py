@@ -26,6 +26,7 @@ from mphygs.simulate.fields import primal
 from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 
 NUMBERS, PLUGIN = "missing-force.safetensors", "missing_force.py"
+FORMAT = "mphygs-force/1"
 # A force that takes away less than this share of the misfit is no force: nothing is told of it.
 WORTH_TELLING = 0.05
 
@@ -89,7 +90,7 @@ class Unexplained:
                 f"{s.sequence}.mass": s.mass,
                 f"{s.sequence}.part": np.asarray(s.part, np.int64),
             }
-        content = save({k: np.ascontiguousarray(v) for k, v in numbers.items()})
+        content = save({k: np.ascontiguousarray(v) for k, v in numbers.items()}, metadata={"format": FORMAT})
         part = folder / f".{NUMBERS}"
         part.write_bytes(content)
         part.replace(folder / NUMBERS)
