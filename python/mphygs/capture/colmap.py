@@ -30,10 +30,12 @@ _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 @dataclass(frozen=True, eq=False)
 class ColmapPoints:
-    """positions: (P, 3) [m]; colours: (P, 3), 0 to 1."""
+    """positions: (P, 3), in the model's unit; colours: (P, 3), 0 to 1; numbers: (P,) by which the model knows
+    them."""
 
     positions: np.ndarray
     colours: np.ndarray
+    numbers: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ class _Lens:
 def read_colmap(folder: Path) -> list[Shot]:
     """The pictures of the model in `folder`, in the order of their names; images are in images/.
 
-    The model's unit is taken to be the metre and its axes the object frame's. A picture in a folder of its
+    Lengths are in the model's unit, axes are the object frame's. A picture in a folder of its
     own, `images/<camera>/<frame>.png`, is frame <frame> of that camera; any other is a camera of its own.
     Raises CaptureError for anything that cannot be used.
     """
@@ -91,10 +93,11 @@ def read_colmap_points(folder: Path) -> ColmapPoints:
     """The points of the model in `folder`/sparse/0. Raises CaptureError where they cannot be read."""
     model = colmap_folder(folder) or folder / "sparse" / "0"
     rows = _read(model, "points3D", _points_of_text, _points_of_bytes)
-    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    table = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 6)
     if not np.isfinite(table).all():
         raise fault(f"{model}: points3D", "holds a number that is not finite", "numbers")
-    return ColmapPoints(positions=table[:, :3], colours=table[:, 3:] / 255.0)
+    numbers = np.array([row[0] for row in rows], dtype=np.uint64)
+    return ColmapPoints(positions=table[:, :3], colours=table[:, 3:] / 255.0, numbers=numbers)
 
 
 def _read(model: Path, name: str, of_text, of_bytes):  # noqa: ANN001, ANN202 (readers of either kind)
@@ -215,8 +218,9 @@ def _images_of_bytes(data: _Bytes) -> list[_Image]:
 
 
 def _points_of_text(lines: Iterator[list[str]], path: Path) -> list[list[float]]:
-    rows = [[float(word) for word in words[1:7]] for words in lines if words]
-    if any(len(row) != 6 for row in rows):
+    """Number, place and colour of every point."""
+    rows = [[int(words[0]), *(float(word) for word in words[1:7])] for words in lines if words]
+    if any(len(row) != 7 for row in rows):
         raise ValueError("a point has no place or colour")
     return rows
 
@@ -226,5 +230,5 @@ def _points_of_bytes(data: _Bytes) -> list[list[float]]:
     for _ in range(data.take("Q")[0]):
         numbers = data.take("Q3d3Bd")
         data.skip(8 * data.take("Q")[0])
-        rows.append(list(numbers[1:7]))
+        rows.append(list(numbers[:7]))
     return rows

@@ -13,8 +13,9 @@ import ezc3d
 import numpy as np
 
 from mphygs.capture.c3d import read_c3d
+from mphygs.capture.colmap import read_colmap
 from mphygs.capture.errors import fault
-from mphygs.capture.files import read_arrays
+from mphygs.capture.files import has_cameras, read_arrays
 from mphygs.capture.markers import resting_position
 from mphygs.capture.written import replace_arrays
 
@@ -46,7 +47,8 @@ class Tracks:
 
 
 def find_files(folder: Path) -> Files:
-    """The files of a folder and of its subfolders with a transforms.json, by what is in them.
+    """The files of a folder and of its subfolders with a transforms.json or a COLMAP model, by what is in
+    them.
 
     Raises CaptureError for a camera file that cannot be read, or for a second folder of pictures at rest.
     """
@@ -67,13 +69,13 @@ def find_files(folder: Path) -> Files:
             raise fault(str(path), "is a hold's motion of no marker file", f"a name that begins as {known}")
         owned[owner] = (*owned.get(owner, ()), path)
     rest, views = None, {}
-    for path in sorted(folder.glob("*/transforms.json")):
+    for path in sorted(path for path in folder.iterdir() if path.is_dir() and has_cameras(path)):
         if _is_sequence(path):
-            views[path.parent.name] = path.parent
+            views[path.name] = path
         elif rest is None:
-            rest = path.parent
+            rest = path
         else:
-            raise fault(str(path.parent), f"is a second folder of pictures at rest beside {rest.name}", "one")
+            raise fault(str(path), f"is a second folder of pictures at rest beside {rest.name}", "one")
     return Files(meshes, tuple(markers), owned, rest, views)
 
 
@@ -90,7 +92,10 @@ def _is_motion(path: Path) -> bool:
         raise fault(str(path), f"cannot be read ({error})", "an .npz file") from error
 
 
-def _is_sequence(path: Path) -> bool:
+def _is_sequence(folder: Path) -> bool:
+    path = folder / "transforms.json"
+    if not path.is_file():
+        return any(shot.frame is not None for shot in read_colmap(folder))
     try:
         frames = json.loads(path.read_text(encoding="utf-8"))["frames"]
         return any("camera" in frame or "frame" in frame for frame in frames)

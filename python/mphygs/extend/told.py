@@ -90,9 +90,7 @@ _TOLD = {
     "p_value": maybe(number),
     "parameters": by_name(_PARAMETER),
 }
-_STEP = record(
-    _TOLD, {"grid": maybe(number), "by": maybe(sentence), "table": many(_row), "pays": Entry.flag}
-)
+_STEP = record(_TOLD, {"grid": maybe(number), "by": maybe(sentence), "table": many(_row), "pays": Entry.flag})
 _PATH = record(
     {
         "model": _NAMES,
