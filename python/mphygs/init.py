@@ -45,7 +45,8 @@ class InitOptions(CommonOptions):
     reconstruction that the views' cameras come from. Default: 1."""
     known_length: Annotated[str | None, tyro.conf.arg(metavar="A,B,METRES")] = None
     """In place of --scale, a distance that was measured [m] and where it is in the reconstruction of the
-    views at rest: between the cameras of two pictures, by name, or two points of a COLMAP model, by number."""
+    views at rest: between the cameras of two pictures, by name, or of two points of a COLMAP
+    model, by number."""
     marker_scale: float = 1.0
     """Unit of .npz and .csv markers -> metre."""
     sigma: float = 2e-4

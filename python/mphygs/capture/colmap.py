@@ -24,8 +24,19 @@ _MODELS = {
     "RADIAL": (3, 5),
     "OPENCV": (4, 8),
     "FULL_OPENCV": (6, 12),
+    "OPENCV_FISHEYE": (5, 8),
+    "SIMPLE_RADIAL_FISHEYE": (8, 4),
+    "RADIAL_FISHEYE": (9, 5),
+    "THIN_PRISM_FISHEYE": (10, 12),
 }
-_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+# Where what a fisheye has stands among k1 k2 k3 k4 p1 p2 sx1 sy1; of THIN_PRISM p1 and p2 stand before k3.
+_FISHEYES = {
+    "OPENCV_FISHEYE": (0, 1, 2, 3),
+    "SIMPLE_RADIAL_FISHEYE": (0,),
+    "RADIAL_FISHEYE": (0, 1),
+    "THIN_PRISM_FISHEYE": (0, 1, 4, 5, 2, 3, 6, 7),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +56,7 @@ class _Lens:
     focal: np.ndarray
     centre: np.ndarray
     distortion: np.ndarray
+    fisheye: np.ndarray | None
 
 
 def read_colmap(folder: Path) -> list[Shot]:
@@ -80,6 +92,7 @@ def read_colmap(folder: Path) -> list[Shot]:
                 centre=found.centre,
                 camera_from_world=pose,
                 distortion=found.distortion,
+                fisheye=found.fisheye,
             )
         except ValueError as error:
             raise fault(where, str(error), "a camera") from error
@@ -151,12 +164,14 @@ class _Bytes:
 def _lens(path: Path, model: str, width: int, height: int, parameters: np.ndarray) -> _Lens:
     focal_count = 1 if model in _ONE_FOCAL else 2
     focal = np.broadcast_to(parameters[:focal_count], 2)
-    distortion = np.zeros(8)
-    given = parameters[focal_count + 2 :]
-    distortion[: len(given)] = given
+    distortion, given = np.zeros(8), parameters[focal_count + 2 :]
+    distortion[list(_FISHEYES.get(model, range(len(given))))] = given
+    fisheye = distortion if model in _FISHEYES else None
+    if fisheye is not None:
+        distortion = np.zeros(8)
     if not np.isfinite(parameters).all():
         raise fault(str(path), "has a camera with numbers that are not finite", "numbers")
-    return _Lens(width, height, focal, parameters[focal_count : focal_count + 2], distortion)
+    return _Lens(width, height, focal, parameters[focal_count : focal_count + 2], distortion, fisheye)
 
 
 def _unknown_model(path: Path, model: str | int) -> CaptureError:
