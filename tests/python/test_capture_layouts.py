@@ -217,6 +217,25 @@ def test_a_sequence_may_begin_in_the_midst_of_a_video(tmp_path: Path) -> None:
         load_sequence_views(folder, frames=4, first=4)
 
 
+def test_masks_in_a_video_are_those_of_its_frames(tmp_path: Path) -> None:
+    folder = film(tmp_path / "v", 7)
+    (folder / "masks").mkdir()
+    for name in ("cam0.avi", "cam1.avi"):
+        path = str(folder / "masks" / name)
+        writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 25, (SIZE, SIZE))
+        for frame in range(7):
+            mask = np.zeros((SIZE, SIZE, 3), np.uint8)
+            mask[8 : 9 + frame, 8:20] = 255
+            writer.write(mask)
+        writer.release()
+    views = load_sequence_views(folder, frames=4, first=2)
+    heights = [(views.views["cam0", k].read().mask[:, 12] > 0.5).sum() for k in range(4)]
+    assert heights == [3, 4, 5, 6]
+    shutil.copyfile(film(tmp_path / "short", 5) / "cam0.avi", folder / "masks" / "cam1.avi")
+    with pytest.raises(CaptureError, match="masks/cam1.avi: has 5 frames; expected 7, as its video"):
+        load_sequence_views(folder, frames=4, first=2)
+
+
 def test_frames_that_were_dropped_are_named(tmp_path: Path) -> None:
     video = Video(film(tmp_path / "v", 7) / "cam0.avi")
     assert np.allclose(np.diff(video.times), 0.04, atol=1e-3)

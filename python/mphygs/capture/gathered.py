@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from mphygs.capture.colmap import read_colmap
 from mphygs.capture.errors import fault
 from mphygs.capture.files import has_cameras, read_arrays
 from mphygs.capture.markers import resting_position
+from mphygs.capture.track_faults import zero_gaps
 from mphygs.capture.written import replace_arrays
 
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb")
@@ -188,12 +190,20 @@ def _marker_name(column: str) -> str:
 
 def rest_of(path: Path, tracks: Tracks, release: int | None) -> np.ndarray:
     """(M, 3) places at rest [m] by the first frames. Raises CaptureError for a marker not seen in them."""
-    rest = resting_position(tracks.position, release)
+    rest = resting_position(_without_zeros(tracks.position, release), release)
     unseen = np.flatnonzero(~np.isfinite(rest).all(axis=1))
     if len(unseen):
         what = f"marker {unseen[0]} is not seen in the first frames"
         raise fault(str(path), what, "every marker at rest in them, or files without it")
     return rest
+
+
+def _without_zeros(position: np.ndarray, release: int | None) -> np.ndarray:
+    """Tracks without the zeros that a file has for gaps, as a capture's markers are read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a marker that is never seen
+        middle = np.nan_to_num(np.nanmedian(position, axis=0))
+    return zero_gaps.check(zero_gaps.Tracks(position, middle, 0.0, release)).position
 
 
 def sequence_entry(

@@ -159,7 +159,7 @@ def load_rest_views(folder: Path, *, scale: float = 1.0) -> RestViews:
             raise fault(shot.where, f'view "{name}" is given twice', "one picture a view")
         if shot.image.suffix.lower() in VIDEO_SUFFIXES:
             raise fault(shot.where, f"{shot.image} is a video", "one image a view of the object at rest")
-        views[name] = _view(folder, shot, ImageFile(shot.image), frame=None)
+        views[name] = _view(folder, shot, ImageFile(shot.image))
     if len(views) < LEAST_REST_VIEWS:
         raise fault(
             str(folder), f"has {len(views)} views", f"at least {LEAST_REST_VIEWS} of the object at rest"
@@ -194,7 +194,7 @@ def load_sequence_views(
                 )
             if frame >= frames:
                 raise fault(shot.where, f"is frame {frame}", f"a frame of the sequence, 0 to {frames - 1}")
-            views[key] = _view(folder, shot, source, frame=frame, videos=videos)
+            views[key] = _view(folder, shot, source, videos)
     cameras = tuple(dict.fromkeys(name for name, _ in views))
     if len(cameras) < LEAST_CAMERAS:
         raise fault(
@@ -273,18 +273,11 @@ def _opened(path: Path, videos: dict[Path, Video]) -> Video:
     return videos[path]
 
 
-def _view(
-    folder: Path, shot: Shot, source: Source, *, frame: int | None, videos: dict[Path, Video] | None = None
-) -> View:
+def _view(folder: Path, shot: Shot, source: Source, videos: dict[Path, Video] | None = None) -> View:
     mask = shot.mask or _beside(folder, shot.image, "masks")
     found: Source | None = None
-    if (
-        mask is not None
-        and mask.suffix.lower() in VIDEO_SUFFIXES
-        and videos is not None
-        and frame is not None
-    ):
-        found = VideoFrame(_opened(mask, videos), frame)
+    if mask is not None and mask.suffix.lower() in VIDEO_SUFFIXES and isinstance(source, VideoFrame):
+        found = _masked(source, _opened(mask, {} if videos is None else videos))
     elif mask is not None:
         found = ImageFile(mask)
     elif (folder / "masks").is_dir():
@@ -292,6 +285,15 @@ def _view(
     plates = [folder / "background" / f"{shot.camera.name}{suffix}" for suffix in IMAGE_SUFFIXES]
     plate = next((ImageFile(path) for path in plates if path.is_file()), None)
     return View(camera=shot.camera, source=source, mask=found, plate=plate)
+
+
+def _masked(source: VideoFrame, mask: Video) -> VideoFrame:
+    """The frame of a video of masks that belongs to one of its video. Raises CaptureError for one that is
+    longer or shorter."""
+    if mask.frame_count != source.video.frame_count:
+        expected = f"{source.video.frame_count}, as its video"
+        raise fault(str(mask.path), f"has {mask.frame_count} frames", expected)
+    return VideoFrame(mask, source.index)
 
 
 def _beside(folder: Path, image: Path, kind: str) -> Path | None:
