@@ -120,7 +120,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     begun = replace(state, left_out=kept_left_out(kept))
     experiment, belief = experiment_of(begun, workers=options.workers)
     spacing = state.settings.spacing
-    done = Kept.of(kept)
+    done = Kept.of(kept, out / DOCUMENT)
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
     if screening:
         steps[0] = replace(steps[0], halfway=_halfway(state))
@@ -192,7 +192,7 @@ def _kept(out: Path) -> dict:
     """What the loop in a folder has found so far."""
     if not (out / FIRST).is_dir():
         raise OptionError(f"--resume: {out} holds no loop; expected the --out of an earlier {PROGRAM}")
-    return read_kept(out / DOCUMENT, PROGRAM)
+    return read_kept(out / DOCUMENT)
 
 
 def _keep(

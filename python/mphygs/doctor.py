@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from mphygs.capture.format import Capture, load_capture
+from mphygs.capture.layouts import unit_remarks
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
 from mphygs.diagnose.next_motion import candidate_motions
 from mphygs.fit.examination import Examined, examine, remarks
@@ -72,7 +73,7 @@ def doctor(options: DoctorOptions, console: Console) -> Answer:
             known = ", ".join(sorted(effects()))
             raise OptionError(f"--effects: unknown effect '{name}'; expected some of {known}")
     document: dict[str, object] = {"capture": str(options.capture), "name": capture.name}
-    findings = object_remarks(capture)
+    findings = [*object_remarks(capture), *unit_remarks(capture)]
     expected, motions, examined = None, [], {}
     if capture.parts:
         settings = Settings(screening_spacing(capture))

@@ -13,8 +13,10 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from mphygs.capture.document import Entry
 from mphygs.capture.format import load_capture
 from mphygs.capture.gathered import Files, Tracks, find_files, read_tracks, rest_of, sequence_entry
+from mphygs.capture.layouts import read_scale, unit_remarks
 from mphygs.capture.save import FORMAT
 from mphygs.capture.written import replace_file
 from mphygs.command import Answer, CommonOptions, Console, OptionError, run
@@ -28,7 +30,8 @@ class InitOptions(CommonOptions):
 
     folder: tyro.conf.Positional[Path]
     """Folder with meshes (.ply, .stl, .obj), markers (.c3d, .npz, .csv), motions of holds (.npz with position
-    and quaternion, named as the markers are) and folders of views (with a transforms.json)."""
+    and quaternion, named as the markers are) and folders of views (with a transforms.json or a COLMAP
+    model)."""
     name: str | None = None
     """Of the capture; default: that of the folder."""
     fps: float | None = None
@@ -37,8 +40,13 @@ class InitOptions(CommonOptions):
     """Boxes that hold the object, lower and upper corner [m], several separated by ";"; none: it is free."""
     gravity: Annotated[str, tyro.conf.arg(metavar="x,y,z")] = "0,0,-9.81"
     """In the object frame [m/s^2]."""
-    scale: float = 1.0
-    """Unit of the meshes -> metre: 0.001 where they are in mm."""
+    scale: float | None = None
+    """Metres per unit of the meshes, 0.001 where they are in mm; without meshes, per unit of the
+    reconstruction that the views' cameras come from. Default: 1."""
+    known_length: Annotated[str | None, tyro.conf.arg(metavar="A,B,METRES")] = None
+    """In place of --scale, a distance that was measured [m] and where it is in the reconstruction of the
+    views at rest: between the cameras of two pictures, by name, or of two points of a COLMAP
+    model, by number."""
     marker_scale: float = 1.0
     """Unit of .npz and .csv markers -> metre."""
     sigma: float = 2e-4
@@ -74,8 +82,12 @@ def init(options: InitOptions, console: Console) -> Answer:
     boxes = _boxes(_asked(options.held, "what holds it, x,y,z:x,y,z;... in metres, or none", "none", console))
     made = []
     try:
-        shape = _shape(files, options)
+        unit = _unit(files, options)
+        shape = _shape(files, options, unit)
         sequences = _sequences(files, options, boxes, console, made)
+        if unit and (scale := read_scale(Entry(unit, str(target), "object"), files.rest_views)) != 1.0:
+            # One reconstruction, one unit.
+            sequences = [entry | ({"scale": scale} if "views" in entry else {}) for entry in sequences]
         document = {
             "format": FORMAT,
             "name": options.name or folder.resolve().name,
@@ -98,6 +110,7 @@ def init(options: InitOptions, console: Console) -> Answer:
     lines = [f"{target}: {what}; {', '.join(s.name for s in capture.sequences)}"]
     if any(s.markers is not None for s in capture.sequences):
         lines.append("markers at rest are as the first frames show them: look at that, and at sigma")
+    lines += unit_remarks(capture)
     lines += ["", f"next: mphygs doctor {shlex.quote(str(folder))}"]
     return Answer({"capture": str(folder), "document": document}, "\n".join(lines))
 
@@ -132,17 +145,39 @@ def _boxes(text: str) -> list[list[list[float]]]:
     return boxes
 
 
-def _shape(files: Files, options: InitOptions) -> dict[str, object]:
+def _shape(files: Files, options: InitOptions, unit: Mapping[str, object]) -> dict[str, object]:
     if files.meshes:
         names = [mesh.stem.replace(".", "_") for mesh in files.meshes]
         parts = [
-            {"name": name, "mesh": mesh.name, "scale": options.scale}
+            {"name": name, "mesh": mesh.name, "scale": 1.0 if options.scale is None else options.scale}
             for name, mesh in zip(names, files.meshes, strict=True)
         ]
         return {"parts": parts}
     if files.rest_views is not None:
-        return {"views": files.rest_views.name}
+        return {"views": files.rest_views.name, **unit}
     raise OptionError(f"{options.folder}: has no mesh and no folder of views at rest; expected one of them")
+
+
+def _unit(files: Files, options: InitOptions) -> dict[str, object]:
+    """What is said of the unit of views at rest; nothing where they are in metres, or there are none."""
+    if options.known_length is not None and (options.scale is not None or files.meshes):
+        where = "the object is given by meshes" if files.meshes else "--scale is given as well"
+        raise OptionError(f"--known-length: {where}; expected {'--scale' if files.meshes else 'one of them'}")
+    if files.meshes or files.rest_views is None:
+        return {}
+    if options.known_length is None:
+        return {} if options.scale is None else {"scale": options.scale}
+    words = [word.strip() for word in options.known_length.split(",")]
+    try:
+        a, b, metres = words[0], words[1], float(words[2])
+    except (IndexError, ValueError):
+        words = []
+    if len(words) != 3:
+        raise OptionError(f"--known-length: got '{options.known_length}'; expected A,B,METRES")
+    # Only a COLMAP model has points, by number.
+    points = not (files.rest_views / "transforms.json").is_file()
+    ends = [int(end) if points and end.isascii() and end.isdigit() else end for end in (a, b)]
+    return {"known_length": [ends, metres]}
 
 
 def _sequences(

@@ -14,7 +14,7 @@ from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import quaternion_from_matrix
-from mphygs.capture.views import Photograph, RestViews, SequenceViews, load_rest_views, sequence_views_of
+from mphygs.capture.views import Photograph, RestViews, SequenceViews, rest_views_of, sequence_views_of
 from mphygs.command import OptionError, names
 from mphygs.motion.camera_check import check_cameras
 from mphygs.motion.contact import coarse_contact
@@ -79,7 +79,7 @@ class VideoRun:
                 f"{file}: is not there; expected Gaussians of the object at rest, by mphygs reconstruct "
                 f"{capture} --out {folder}, or a file of your own by --gaussians"
             )
-        rest = load_rest_views(loaded.views) if loaded.views is not None else None
+        rest = rest_views_of(loaded) if loaded.views is not None else None
         return cls(loaded, folder, file, read_gaussians(file), rest, longest)
 
     def recordings(self, wanted: str | None) -> list[Recording]:
@@ -107,6 +107,8 @@ class VideoRun:
         sources = {"gaussians": digest_of_files(self.gaussians_file), "longest": self.longest}
         if recording.views is not None:
             sources["views"] = digest_of_files(recording.views)
+        if recording.views_scale != 1.0:
+            sources["views_scale"] = recording.views_scale
         return MotionStage(self.folder / STAGES / kind / recording.name, {**sources, **made_of})
 
 

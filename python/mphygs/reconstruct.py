@@ -12,11 +12,11 @@ import numpy as np
 import torch
 import tyro
 
-from mphygs.capture.colmap import ColmapPoints, read_colmap_points
+from mphygs.capture.colmap import ColmapPoints
 from mphygs.capture.errors import fault
-from mphygs.capture.files import colmap_folder
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.images import write_image
+from mphygs.capture.layouts import read_points
 from mphygs.capture.views import Photograph, RestViews, rest_views_of, sequence_views_of
 from mphygs.claim import claim
 from mphygs.command import Answer, CommonOptions, Console, OptionError, run
@@ -28,7 +28,7 @@ from mphygs.render.splatting import splat
 from mphygs.scene.agreement import check_first_frame
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.ply import read_gaussians, write_gaussians
-from mphygs.stages import Stage, digest_of, folder_digest
+from mphygs.stages import Stage, digest_of, views_digest
 
 PROGRAM = "mphygs reconstruct"
 STAGE, FILES, PICTURE = "rest", ("gaussians.ply",), "picture.png"
@@ -108,7 +108,7 @@ def rest_stage(
             f"{options.longest}; expected at least 1, 100 and 16"
         )
     names = ("iterations", "most_gaussians", "longest", "seed")
-    source = digest_of(capture.gaussians) if capture.views is None else folder_digest(capture.views)
+    source = digest_of(capture.gaussians) if capture.views is None else views_digest(capture)
     made_of = {name: getattr(options, name) for name in names} | {"source": source}
     stage = Stage.of(options.out, STAGE, FILES, made_of)
     state = stage.state()
@@ -121,7 +121,7 @@ def rest_stage(
     else:
         rest = rest_views_of(capture)
         photographs = _photographs(capture, rest, options, console)
-        points = _colmap_points(capture.views)
+        points = read_points(capture.views, capture.views_scale)
         gaussians = _reconstructed(photographs, points, options, console)
     stage.begin()
     write_gaussians(stage.path(FILES[0]), gaussians)
@@ -149,12 +149,6 @@ def _photographs(
 def shrunk(photographs: Sequence[Photograph], longest: int) -> list[Photograph]:
     """Pictures of at most `longest` pixels along a side, by whole factors."""
     return [p.shrunk(int(np.ceil(max(p.camera.width, p.camera.height) / longest))) for p in photographs]
-
-
-def _colmap_points(folder: Path) -> ColmapPoints | None:
-    if (folder / "transforms.json").is_file() or colmap_folder(folder) is None:
-        return None
-    return read_colmap_points(folder)
 
 
 def _reconstructed(

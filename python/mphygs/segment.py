@@ -40,7 +40,7 @@ from mphygs.scene.object_files import (
 )
 from mphygs.scene.segments import SegmentSettings
 from mphygs.scene.soft_boundary import Particles
-from mphygs.stages import Stage, digest_of, folder_digest
+from mphygs.stages import Stage, digest_of, views_digest
 
 PROGRAM = "mphygs segment"
 PICTURE = "picture.png"
@@ -91,7 +91,7 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
     rest = ReconstructOptions(capture=options.capture, out=options.out, longest=options.longest)
     rest_folder, _, gaussians = rest_stage(capture, rest, console, any_options=True)
     photographs = _photographs(capture, gaussians, options)
-    views = None if capture.views is None else folder_digest(capture.views)
+    views = None if capture.views is None else views_digest(capture)
     console.begin()
     first, features = features_stage(options, tools, rest_folder, views, gaussians, photographs, console)
     second, particles, parts = object_stage(

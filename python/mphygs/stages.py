@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from mphygs.capture.record import Capture
 from mphygs.capture.written import replace_file
 from mphygs.command import OptionError, plain
 
@@ -115,3 +116,9 @@ def folder_digest(folder: Path) -> str:
         else:
             found.update(str(stat.st_mtime_ns).encode())
     return found.hexdigest()
+
+
+def views_digest(capture: Capture) -> str:
+    """The same for the rest views of a capture, in metres."""
+    found = folder_digest(capture.views)
+    return found if capture.views_scale == 1.0 else f"{found} x {capture.views_scale!r}"

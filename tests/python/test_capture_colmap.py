@@ -113,7 +113,7 @@ def test_frames_of_a_sequence(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("cameras.txt", "SIMPLE_RADIAL", "OPENCV_FISHEYE", "camera model OPENCV_FISHEYE"),
+        ("cameras.txt", "SIMPLE_RADIAL", "FOV", "camera model FOV"),
         ("cameras.txt", "31 25 -0.1", "31 25", "has 3 parameters"),
         ("cameras.txt", "2 SIMPLE", "3 SIMPLE", "is of camera 2, which the model has not"),
         ("cameras.txt", "48 70", "48 nan", "not finite"),

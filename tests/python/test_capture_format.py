@@ -94,6 +94,20 @@ def set_key(*path: str | int, value: object) -> Callable[[Example], None]:
     return change
 
 
+def test_one_body_as_two_parts_is_refused(tmp_path: Path) -> None:
+    example = Example(tmp_path)
+    parts = example.document["object"]["parts"]
+    parts[1] = {"name": "high", "mesh": "high.ply"}
+    whole = bar((0.0, -0.01, -0.01), (0.1, 0.01, 0.01))
+    for name in ("low", "high"):
+        whole.export(tmp_path / f"{name}.ply")
+    line = example.complaint()
+    assert 'object.parts[1].mesh: part "high" lies inside part "low", which owns the material there' in line
+    # Stated before the outer one, an inner part is one.
+    bar((0.01, -0.005, -0.005), (0.03, 0.005, 0.005)).export(tmp_path / "low.ply")
+    assert [part.name for part in example.load().parts] == ["low", "high"]
+
+
 def drop(*path: str | int) -> Callable[[Example], None]:
     """A change that takes one key out of the document."""
 

@@ -69,6 +69,53 @@ def test_one_inward_body_of_two_is_turned_and_a_cavity_is_kept(tmp_path: Path) -
     assert np.isclose(signed_volume(stored(tmp_path, trimesh.util.concatenate([cube(), cavity]))), 0.875)
 
 
+def refused(path: Path) -> str:
+    with pytest.raises(CaptureError) as caught:
+        read_mesh(path)
+    line = str(caught.value)
+    assert line.startswith(str(path)) and "\n" not in line and "expected every piece of material once" in line
+    return line
+
+
+@pytest.mark.parametrize("ending", ["ply", "stl"])
+def test_a_body_given_twice_in_other_triangles(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"m.{ending}"
+    trimesh.util.concatenate([cube(), cube().subdivide()]).export(path)
+    line = refused(path)
+    # an .stl has no vertices of its own: the two become one
+    words = {"ply": "overlaps others with 100% of its volume", "stl": "goes 2 times round its volume"}
+    assert words[ending] in line
+
+
+def test_bodies_that_overlap_are_refused_by_how_much(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    ball.apply_translation((0.5, 0.013, 0.021))
+    both = stored(tmp_path, trimesh.util.concatenate([cube(), ball, cube(9.0)]))
+    assert "body 2 of 3, about (0.5, 0.013, 0.021), overlaps others with 5" in refused(both)
+    # Stuck into one another by less than what counts.
+    assert np.isclose(signed_volume(stored(tmp_path, trimesh.util.concatenate([cube(), cube(0.99)]))), 2.0)
+
+
+def test_a_wall_around_a_core_in_a_cavity_is_material_once(tmp_path: Path) -> None:
+    cavity = cube(0.0, 0.6)
+    cavity.invert()
+    nested = trimesh.util.concatenate([cube(), cavity, cube(0.0, 0.2)])
+    assert np.isclose(signed_volume(stored(tmp_path, nested)), 1 - 0.6**3 + 0.2**3)
+
+
+@pytest.mark.parametrize("end", ["endsolid", "end solid", "endsolid a", "ENDSOLID"])
+def test_text_stl_of_several_solids_ends_as_it_likes(end: str, tmp_path: Path) -> None:
+    lines = []
+    for centre in (0.0, 2.0):
+        lines.append("solid")
+        for triangle in cube(centre).triangles:
+            lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x} {y} {z}" for x, y, z in triangle)]
+            lines += ["endloop", "endfacet"]
+        lines.append(end)
+    (tmp_path / "m.stl").write_text("\n".join(lines) + "\n")
+    assert np.isclose(signed_volume(tmp_path / "m.stl"), 2.0)
+
+
 def test_mixed_winding_is_repaired(tmp_path: Path) -> None:
     mesh = cube()
     mesh.faces[3] = mesh.faces[3][::-1]

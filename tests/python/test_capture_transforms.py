@@ -105,7 +105,7 @@ def drop(key: str) -> Callable[[dict], object]:
         (change(h=24.5), "h: is 24.5; expected a whole number"),
         (drop("fl_x"), '"fl_x" is missing'),
         (change(fl_x=-3), "focal lengths"),
-        (change(camera_model="OPENCV_FISHEYE"), "expected one of OPENCV"),
+        (change(camera_model="FISHEYE624"), "expected one of OPENCV"),
         (change(k4=0.1), "k4: is 0.1"),
         (change(fl_x="x"), "expected a number"),
         (in_frame(file_path="images/b.png"), "does not exist"),

@@ -199,9 +199,9 @@ def test_refuses_what_is_damaged_in_one_line(reported: Path, tmp_path: Path) -> 
     kept = json.loads(steps.read_text())
     diagnosis = reported.parent / "diagnosis.json"
     for path, text, words in (
-        (steps, "{", "steps.json: is not JSON"),
-        (steps, "[]", "steps.json: has no 'steps'"),
-        (diagnosis, "[]", "diagnosis.json: has no 'verdict'"),
+        (steps, "{", "steps.json: line 1 column 2: "),
+        (steps, "[]", "steps.json: is a list; expected an object"),
+        (diagnosis, "[]", "diagnosis.json: is a list; expected an object"),
     ):
         path.write_text(text)
         code, _, err = call(command.main, reported.parent, "--out", tmp_path / "x.html")

@@ -69,6 +69,22 @@ def test_a_table_in_millimetres(folder: Path, made: Path) -> None:
     assert read_csv(folder / "drop.csv")[1][:2] == ("m0", "m1")
 
 
+@pytest.mark.parametrize("kind", [".npz", ".csv"])
+def test_zeros_for_gaps_at_the_beginning_are_no_place(kind: str, made: Path, tmp_path: Path) -> None:
+    position = load_capture(made).sequence("swing").markers.position.copy()
+    position[:3, 5] = 0.0
+    shutil.copyfile(made / "bar.ply", tmp_path / "bar.ply")
+    if kind == ".npz":
+        np.savez(tmp_path / "a.npz", position=position)
+    else:
+        rows = [",".join("" if np.isnan(v) else repr(float(v)) for v in frame.ravel()) for frame in position]
+        (tmp_path / "a.csv").write_text("\n".join(rows))
+    answer(init.main, tmp_path, "--fps", 100, "--held", HELD)
+    markers = load_capture(tmp_path).sequence("a").markers
+    assert np.abs(markers.at - load_capture(made).sequence("swing").markers.at).max() < 3e-3
+    assert np.isnan(markers.position[:3, 5]).all()
+
+
 def test_it_asks_where_a_terminal_is_there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = io.StringIO(f"{HELD}\n100\n100\n")
     terminal.isatty = lambda: True

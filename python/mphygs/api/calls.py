@@ -132,5 +132,8 @@ def is_kept(capture: Capture) -> bool:
     if not (capture.folder / "capture.json").is_file():
         return False
     kept = load_capture(capture.folder)
-    views = [(c.gaussians, c.views, *(s.views for s in c.sequences)) for c in (kept, capture)]
+    views = [
+        (c.gaussians, c.views, c.views_scale, *((s.views, s.views_scale) for s in c.sequences))
+        for c in (kept, capture)
+    ]
     return views[0] == views[1] and digest_of(kept) == digest_of(capture)

@@ -16,6 +16,7 @@ import numpy as np
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 MOST_PIXELS = 10**8  # of a picture
 DISTORTIONS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE = ("k1", "k2", "k3", "k4", "p1", "p2", "sx1", "sy1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +25,8 @@ class Camera:
 
     width, height: [px]; focal: (2,) [px]; centre: (2,), where the axis meets the picture [px];
     camera_from_world: (4, 4), rotation and translation [m]; distortion: (8,), OpenCV's rational model in its
-    order k1 k2 p1 p2 k3 k4 k5 k6 [1], zero without lens distortion.
+    order k1 k2 p1 p2 k3 k4 k5 k6 [1], zero without lens distortion; fisheye: (8,), k1 k2 k3 k4 p1 p2 sx1 sy1
+    of a lens that is one [1] (capture/fisheye.py), None for others.
     Raises ValueError, one line, for numbers that are no camera.
     """
 
@@ -35,10 +37,13 @@ class Camera:
     centre: np.ndarray
     camera_from_world: np.ndarray
     distortion: np.ndarray = field(default_factory=lambda: np.zeros(len(DISTORTIONS)))
+    fisheye: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         count = len(DISTORTIONS)
         shapes = {"focal": (2,), "centre": (2,), "camera_from_world": (4, 4), "distortion": (count,)}
+        if self.fisheye is not None:
+            shapes["fisheye"] = (len(FISHEYE),)
         for name, shape in shapes.items():
             array = np.array(getattr(self, name), dtype=np.float64)
             if array.shape != shape or not np.isfinite(array).all():

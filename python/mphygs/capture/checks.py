@@ -9,7 +9,7 @@ import numpy as np
 from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.holds import Hold, Load
 from mphygs.capture.markers import Markers
-from mphygs.capture.overlap import box_meets_solid, distance_to_box
+from mphygs.capture.overlap import box_meets_solid, distance_to_box, just_inside, winding_number
 from mphygs.capture.record import Capture, Sequence
 
 SIZE = (1e-3, 20.0)  # [m] of the object
@@ -29,6 +29,7 @@ def check_capture(capture: Capture) -> None:
     _check_names(f"{file}: object.parts", [part.name for part in capture.parts], dots=False)
     _check_names(f"{file}: sequences", [sequence.name for sequence in capture.sequences], dots=True)
     _check_units(file, capture)
+    _check_owned(file, capture)
     for index, sequence in enumerate(capture.sequences):
         where = f"{file}: sequences[{index}]"
         _check_measured(where, sequence)
@@ -109,6 +110,22 @@ def _check_units(file: str, capture: Capture) -> None:
                 f"{known.mass:g} kg is less than the {least:.3g} kg of the parts of known density",
                 "mass of the whole object",
             )
+
+
+def _check_owned(file: str, capture: Capture) -> None:
+    """A part that lies inside earlier ones, which own the material where parts overlap, is none."""
+    for index, part in enumerate(capture.parts):
+        points = just_inside(part.vertices, part.faces)
+        for earlier in capture.parts[:index]:
+            low, high = earlier.bounds
+            if not ((points >= low) & (points <= high)).all() or not len(points):
+                continue
+            if (winding_number(points, earlier.vertices, earlier.faces) > 0.5).all():
+                raise fault(
+                    f"{file}: object.parts[{index}].mesh",
+                    f'part "{part.name}" lies inside part "{earlier.name}", which owns the material there',
+                    "material of its own (is a body given twice? an inner part stands before the outer one)",
+                )
 
 
 def _check_density(where: str, density: float) -> None:

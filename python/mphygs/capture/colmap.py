@@ -24,16 +24,29 @@ _MODELS = {
     "RADIAL": (3, 5),
     "OPENCV": (4, 8),
     "FULL_OPENCV": (6, 12),
+    "OPENCV_FISHEYE": (5, 8),
+    "SIMPLE_RADIAL_FISHEYE": (8, 4),
+    "RADIAL_FISHEYE": (9, 5),
+    "THIN_PRISM_FISHEYE": (10, 12),
 }
-_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+# Where what a fisheye has stands among k1 k2 k3 k4 p1 p2 sx1 sy1; of THIN_PRISM p1 and p2 stand before k3.
+_FISHEYES = {
+    "OPENCV_FISHEYE": (0, 1, 2, 3),
+    "SIMPLE_RADIAL_FISHEYE": (0,),
+    "RADIAL_FISHEYE": (0, 1),
+    "THIN_PRISM_FISHEYE": (0, 1, 4, 5, 2, 3, 6, 7),
+}
 
 
 @dataclass(frozen=True, eq=False)
 class ColmapPoints:
-    """positions: (P, 3) [m]; colours: (P, 3), 0 to 1."""
+    """positions: (P, 3), in the model's unit; colours: (P, 3), 0 to 1; numbers: (P,) by which the model knows
+    them."""
 
     positions: np.ndarray
     colours: np.ndarray
+    numbers: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +56,13 @@ class _Lens:
     focal: np.ndarray
     centre: np.ndarray
     distortion: np.ndarray
+    fisheye: np.ndarray | None
 
 
 def read_colmap(folder: Path) -> list[Shot]:
     """The pictures of the model in `folder`, in the order of their names; images are in images/.
 
-    The model's unit is taken to be the metre and its axes the object frame's. A picture in a folder of its
+    Lengths are in the model's unit, axes are the object frame's. A picture in a folder of its
     own, `images/<camera>/<frame>.png`, is frame <frame> of that camera; any other is a camera of its own.
     Raises CaptureError for anything that cannot be used.
     """
@@ -78,6 +92,7 @@ def read_colmap(folder: Path) -> list[Shot]:
                 centre=found.centre,
                 camera_from_world=pose,
                 distortion=found.distortion,
+                fisheye=found.fisheye,
             )
         except ValueError as error:
             raise fault(where, str(error), "a camera") from error
@@ -91,10 +106,11 @@ def read_colmap_points(folder: Path) -> ColmapPoints:
     """The points of the model in `folder`/sparse/0. Raises CaptureError where they cannot be read."""
     model = colmap_folder(folder) or folder / "sparse" / "0"
     rows = _read(model, "points3D", _points_of_text, _points_of_bytes)
-    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    table = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 6)
     if not np.isfinite(table).all():
         raise fault(f"{model}: points3D", "holds a number that is not finite", "numbers")
-    return ColmapPoints(positions=table[:, :3], colours=table[:, 3:] / 255.0)
+    numbers = np.array([row[0] for row in rows], dtype=np.uint64)
+    return ColmapPoints(positions=table[:, :3], colours=table[:, 3:] / 255.0, numbers=numbers)
 
 
 def _read(model: Path, name: str, of_text, of_bytes):  # noqa: ANN001, ANN202 (readers of either kind)
@@ -148,12 +164,14 @@ class _Bytes:
 def _lens(path: Path, model: str, width: int, height: int, parameters: np.ndarray) -> _Lens:
     focal_count = 1 if model in _ONE_FOCAL else 2
     focal = np.broadcast_to(parameters[:focal_count], 2)
-    distortion = np.zeros(8)
-    given = parameters[focal_count + 2 :]
-    distortion[: len(given)] = given
+    distortion, given = np.zeros(8), parameters[focal_count + 2 :]
+    distortion[list(_FISHEYES.get(model, range(len(given))))] = given
+    fisheye = distortion if model in _FISHEYES else None
+    if fisheye is not None:
+        distortion = np.zeros(8)
     if not np.isfinite(parameters).all():
         raise fault(str(path), "has a camera with numbers that are not finite", "numbers")
-    return _Lens(width, height, focal, parameters[focal_count : focal_count + 2], distortion)
+    return _Lens(width, height, focal, parameters[focal_count : focal_count + 2], distortion, fisheye)
 
 
 def _unknown_model(path: Path, model: str | int) -> CaptureError:
@@ -215,8 +233,9 @@ def _images_of_bytes(data: _Bytes) -> list[_Image]:
 
 
 def _points_of_text(lines: Iterator[list[str]], path: Path) -> list[list[float]]:
-    rows = [[float(word) for word in words[1:7]] for words in lines if words]
-    if any(len(row) != 6 for row in rows):
+    """Number, place and colour of every point."""
+    rows = [[int(words[0]), *(float(word) for word in words[1:7])] for words in lines if words]
+    if any(len(row) != 7 for row in rows):
         raise ValueError("a point has no place or colour")
     return rows
 
@@ -226,5 +245,5 @@ def _points_of_bytes(data: _Bytes) -> list[list[float]]:
     for _ in range(data.take("Q")[0]):
         numbers = data.take("Q3d3Bd")
         data.skip(8 * data.take("Q")[0])
-        rows.append(list(numbers[1:7]))
+        rows.append(list(numbers[:7]))
     return rows

@@ -45,9 +45,14 @@ def views_inside(folder: Path, entry: Entry) -> Path:
     path = path_inside(folder, entry)
     if not path.is_dir():
         raise entry.fault(f"{path} is not a folder", "a folder of views")
-    if not (path / "transforms.json").is_file() and colmap_folder(path) is None:
+    if not has_cameras(path):
         raise entry.fault(f"{path} holds no cameras", "transforms.json or sparse/0 in it")
     return path
+
+
+def has_cameras(folder: Path) -> bool:
+    """Whether a folder is one of views."""
+    return (folder / "transforms.json").is_file() or colmap_folder(folder) is not None
 
 
 def colmap_folder(folder: Path) -> Path | None:

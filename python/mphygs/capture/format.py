@@ -9,6 +9,7 @@ from mphygs.capture.document import Entry, read_document
 from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.files import file_inside, views_inside
 from mphygs.capture.holds import Hold, Load, read_hold, read_load
+from mphygs.capture.layouts import read_scale
 from mphygs.capture.markers import Markers, read_markers
 from mphygs.capture.meshes import Part, read_part
 from mphygs.capture.record import Capture, Known, Sequence
@@ -31,6 +32,7 @@ FPS = (0.1, 1e6)
 MASSES = (1e-9, 1e6)  # [kg]
 MOST_FRAMES = 1_000_000
 _GEOMETRIES = ("parts", "gaussians", "views")
+_UNITS = ("scale", "known_length")  # of views
 
 
 def load_capture(path: str | Path) -> Capture:
@@ -51,6 +53,7 @@ def load_capture(path: str | Path) -> Capture:
     name = root["name"].name()
     gravity = root["gravity"].array((3,), most=1e6)
     parts, gaussians, views = _read_geometry(folder, root["object"])
+    views_scale = _read_views_scale(root["object"], views)
     sequences = tuple(_read_sequence(folder, entry) for entry in root["sequences"].elements())
     if not sequences:
         raise root["sequences"].fault("is empty", "at least one sequence")
@@ -64,13 +67,14 @@ def load_capture(path: str | Path) -> Capture:
         sequences=sequences,
         gaussians=gaussians,
         views=views,
+        views_scale=views_scale,
     )
     check_capture(capture)
     return capture
 
 
 def _read_geometry(folder: Path, entry: Entry) -> tuple[tuple[Part, ...], Path | None, Path | None]:
-    entry.check_keys(required=("rest",), optional=(*_GEOMETRIES, "known"))
+    entry.check_keys(required=("rest",), optional=(*_GEOMETRIES, *_UNITS, "known"))
     given = [key for key in _GEOMETRIES if entry.get(key)]
     if len(given) != 1:
         what = f"has {' and '.join(given)}" if given else "has no geometry"
@@ -87,6 +91,16 @@ def _read_geometry(folder: Path, entry: Entry) -> tuple[tuple[Part, ...], Path |
     if not parts:
         raise entry["parts"].fault("is empty", "at least one part")
     return parts, None, None
+
+
+def _read_views_scale(entry: Entry, views: Path | None) -> float:
+    """Metres per unit of the views beside which it is stated."""
+    given = [key for key in _UNITS if entry.get(key)]
+    if views is None:
+        if given:
+            raise entry[given[0]].fault("stands where no views are", "views beside it (a part has a scale)")
+        return 1.0
+    return read_scale(entry, views)
 
 
 def _read_rest(entry: Entry) -> str:
@@ -139,8 +153,10 @@ def _read_per_part(
 def _read_sequence(folder: Path, entry: Entry) -> Sequence:
     entry.check_keys(
         required=("name", "fps", "frames"),
-        optional=("fit", "predict", "held", "loads", "release", "start", "markers", "views", "first_frame"),
-    )
+        optional=(
+            "fit", "predict", "held", "loads", "release", "start", "markers", "views", *_UNITS, "first_frame",
+        ),
+    )  # fmt: skip
     name = entry["name"].name()
     fps = entry["fps"].within(*FPS, "frames per second")
     frames = entry["frames"].integer()
@@ -158,6 +174,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
             raise given.wrong(f"a frame of the file, 0 to {MOST_FRAMES}")
     start = _read_start(entry.get("start"), release)
     held, loads, markers, views = (entry.get(key) for key in ("held", "loads", "markers", "views"))
+    seen = views_inside(folder, views) if views else None
     return Sequence(
         name=name,
         fps=fps,
@@ -172,7 +189,8 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         )
         if markers
         else None,
-        views=views_inside(folder, views) if views else None,
+        views=seen,
+        views_scale=_read_views_scale(entry, seen),
         first_frame=first,
         start=start,
     )

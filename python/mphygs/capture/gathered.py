@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,9 +14,11 @@ import ezc3d
 import numpy as np
 
 from mphygs.capture.c3d import read_c3d
+from mphygs.capture.colmap import read_colmap
 from mphygs.capture.errors import fault
-from mphygs.capture.files import read_arrays
+from mphygs.capture.files import has_cameras, read_arrays
 from mphygs.capture.markers import resting_position
+from mphygs.capture.track_faults import zero_gaps
 from mphygs.capture.written import replace_arrays
 
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb")
@@ -46,7 +49,8 @@ class Tracks:
 
 
 def find_files(folder: Path) -> Files:
-    """The files of a folder and of its subfolders with a transforms.json, by what is in them.
+    """The files of a folder and of its subfolders with a transforms.json or a COLMAP model, by what is in
+    them.
 
     Raises CaptureError for a camera file that cannot be read, or for a second folder of pictures at rest.
     """
@@ -67,13 +71,13 @@ def find_files(folder: Path) -> Files:
             raise fault(str(path), "is a hold's motion of no marker file", f"a name that begins as {known}")
         owned[owner] = (*owned.get(owner, ()), path)
     rest, views = None, {}
-    for path in sorted(folder.glob("*/transforms.json")):
+    for path in sorted(path for path in folder.iterdir() if path.is_dir() and has_cameras(path)):
         if _is_sequence(path):
-            views[path.parent.name] = path.parent
+            views[path.name] = path
         elif rest is None:
-            rest = path.parent
+            rest = path
         else:
-            raise fault(str(path.parent), f"is a second folder of pictures at rest beside {rest.name}", "one")
+            raise fault(str(path), f"is a second folder of pictures at rest beside {rest.name}", "one")
     return Files(meshes, tuple(markers), owned, rest, views)
 
 
@@ -90,7 +94,10 @@ def _is_motion(path: Path) -> bool:
         raise fault(str(path), f"cannot be read ({error})", "an .npz file") from error
 
 
-def _is_sequence(path: Path) -> bool:
+def _is_sequence(folder: Path) -> bool:
+    path = folder / "transforms.json"
+    if not path.is_file():
+        return any(shot.frame is not None for shot in read_colmap(folder))
     try:
         frames = json.loads(path.read_text(encoding="utf-8"))["frames"]
         return any("camera" in frame or "frame" in frame for frame in frames)
@@ -183,12 +190,20 @@ def _marker_name(column: str) -> str:
 
 def rest_of(path: Path, tracks: Tracks, release: int | None) -> np.ndarray:
     """(M, 3) places at rest [m] by the first frames. Raises CaptureError for a marker not seen in them."""
-    rest = resting_position(tracks.position, release)
+    rest = resting_position(_without_zeros(tracks.position, release), release)
     unseen = np.flatnonzero(~np.isfinite(rest).all(axis=1))
     if len(unseen):
         what = f"marker {unseen[0]} is not seen in the first frames"
         raise fault(str(path), what, "every marker at rest in them, or files without it")
     return rest
+
+
+def _without_zeros(position: np.ndarray, release: int | None) -> np.ndarray:
+    """Tracks without the zeros that a file has for gaps, as a capture's markers are read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a marker that is never seen
+        middle = np.nan_to_num(np.nanmedian(position, axis=0))
+    return zero_gaps.check(zero_gaps.Tracks(position, middle, 0.0, release)).position
 
 
 def sequence_entry(

@@ -13,11 +13,15 @@ from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
 from mphygs.capture.files import file_inside
 from mphygs.capture.mesh_files import mesh_content
-from mphygs.capture.overlap import winding_number
+from mphygs.capture.overlap import just_inside, winding_number
 from mphygs.capture.written import replace_file
 
 _MOST_BODIES = 500
 _PROBED = 20  # corners of a body that are looked at
+# Of the whole volume, that bodies may share: where they are stuck into one another a little.
+_SHARED = 0.02
+# Points in the unit box, evenly spread (Roberts 2018).
+_SPREAD = (0.5 + np.outer(np.arange(400), [0.8191725134, 0.6710436067, 0.5497004779])) % 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +205,43 @@ def _turn_outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.nda
             at = ", ".join(f"{x:.4g}" for x in vertices[corners].mean(axis=0))
             what = f"body {number + 1} of {len(bodies)}, about ({at}), is turned outward inside another one"
             raise fault(str(path), what, "a cavity's wall turned inward, every piece of material once")
+    _check_overlap(path, vertices, [faces[label == body] for body in bodies])
     return np.ascontiguousarray(faces)
+
+
+def _check_overlap(path: Path, vertices: np.ndarray, bodies: list[np.ndarray]) -> None:
+    """Raises CaptureError where bodies (F, 3) of faces share so much of their volume that it counts double,
+    or one goes round its own volume twice."""
+    expected = "every piece of material once (unite the bodies, or make them parts)"
+    for body in bodies:
+        winding = winding_number(just_inside(vertices, body), vertices, body)
+        if len(winding) and np.median(winding) > 1.5:
+            what = f"goes {np.median(winding):.0f} times round its volume, so that it counts as often"
+            raise fault(str(path), what, expected)
+    boxes = np.array([[vertices[body].min(axis=(0, 1)), vertices[body].max(axis=(0, 1))] for body in bodies])
+    shared = {}
+    for k, body in enumerate(bodies):
+        low, high = np.maximum(boxes[:, 0], boxes[k, 0]), np.minimum(boxes[:, 1], boxes[k, 1])
+        near = (high > low).all(axis=1)
+        near[k] = False
+        if not near.any() or _volume(vertices, body) < 0:
+            continue
+        low, high = low[near].min(axis=0), high[near].max(axis=0)
+        points = low + (high - low) * _SPREAD
+        own = winding_number(points, vertices, body) > 0.5
+        others = np.concatenate([bodies[other] for other in np.flatnonzero(near)])
+        twice = winding_number(points[own], vertices, others) > 0.5
+        shared[k] = float(np.prod(high - low)) * np.count_nonzero(twice) / len(points)
+    whole = sum(_volume(vertices, body) for body in bodies)
+    # what two bodies share was found in both
+    if 0.5 * sum(shared.values()) <= _SHARED * whole:
+        return
+    shares = {k: min(volume / _volume(vertices, bodies[k]), 1.0) for k, volume in shared.items()}
+    worst = max(shares, key=shares.__getitem__)
+    at = ", ".join(f"{x:.4g}" for x in boxes[worst].mean(axis=0))
+    body = f"body {worst + 1} of {len(bodies)}, about ({at})"
+    what = f"{body}, overlaps others with {shares[worst]:.0%} of its volume"
+    raise fault(str(path), what, expected)
 
 
 def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:

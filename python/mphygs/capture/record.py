@@ -30,11 +30,11 @@ class Sequence:
     """One recorded motion. Frame k is at t = k / fps [s]; ranges [a, b) exclude b.
 
     fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
-    rest until this frame; views: the folder of the measured video; first_frame: of the files' frames, the one
-    that is frame 0, None where it is the first and they are no longer; turn: (3, 3) rotation from the frame
-    that the sequence is told in to the one that gravity is told in, None where they are one; start: "rest"
-    where the object rests in frame 0, "measured" where it is away from rest or moves then, None: as the first
-    frames show.
+    rest until this frame; views: the folder of the measured video, views_scale metres per unit of its
+    cameras' places; first_frame: of the files' frames, the one that is frame 0, None where it is the first
+    and they are no longer; turn: (3, 3) rotation from the frame that the sequence is told in to the one that
+    gravity is told in, None where they are one; start: "rest" where the object rests in frame 0, "measured"
+    where it is away from rest or moves then, None: as the first frames show.
     """
 
     name: str
@@ -47,6 +47,7 @@ class Sequence:
     release: int | None = None
     markers: Markers | None = None
     views: Path | None = None
+    views_scale: float = 1.0
     first_frame: int | None = None
     turn: np.ndarray | None = None
     start: str | None = None
@@ -57,7 +58,8 @@ class Capture:
     """One object and its recorded motions. gravity: (3,) [m/s^2], in the object frame.
 
     The object is given by `parts`, or by `gaussians` (a 3DGS .ply), or by `views` (a folder of dense rest
-    views); rest: "stress-free", or "equilibrium" when the shape given sags under gravity already.
+    views, `views_scale` metres per unit of its cameras' places); rest: "stress-free", or "equilibrium" when
+    the shape given sags under gravity already.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Capture:
     sequences: tuple[Sequence, ...]
     gaussians: Path | None = None
     views: Path | None = None
+    views_scale: float = 1.0
 
     def sequence(self, name: str) -> Sequence:
         """The sequence called `name`; KeyError, naming those there are, when there is none."""

@@ -39,6 +39,7 @@ def save_capture(capture: Capture, folder: str | Path) -> None:
         shape["gaussians"] = _copy(capture.gaussians, folder / "gaussians.ply")
     if capture.views is not None:
         shape["views"] = _copy(capture.views, folder / "rest_views")
+        shape |= {} if capture.views_scale == 1.0 else {"scale": capture.views_scale}
     known: dict[str, object] = {}
     if capture.known.density:
         known["density"] = capture.known.density
@@ -92,6 +93,7 @@ def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
             document["markers"]["names"] = list(markers.names)
     if sequence.views is not None:
         document["views"] = _copy(sequence.views, folder / "views" / sequence.name)
+        document |= {} if sequence.views_scale == 1.0 else {"scale": sequence.views_scale}
     return document
 
 

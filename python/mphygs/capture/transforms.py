@@ -12,6 +12,7 @@ import numpy as np
 
 from mphygs.capture.cameras import (
     DISTORTIONS,
+    FISHEYE,
     Camera,
     camera_from_world_of_opengl,
     opengl_of_camera,
@@ -38,7 +39,8 @@ _FRAME_NOTES = (
     "colmap_im_id", "sharpness", "depth_file_path", "rotation", "time", "timestamp", "blur_score",
     "manual_keyframe", "neighbors",
 )  # fmt: skip
-_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 
 
 def read_transforms(path: Path) -> list[Shot]:
@@ -50,8 +52,6 @@ def read_transforms(path: Path) -> list[Shot]:
     """
     root = read_document(path)
     root.check_keys(required=("frames",), optional=(*_INTRINSICS, *_NOTES))
-    if (fisheye := root.get("is_fisheye")) and fisheye.flag():
-        raise fisheye.wrong("false: fisheye pictures must be undistorted before")
     frames = root["frames"].elements()
     if not frames:
         raise root["frames"].fault("is empty", "at least one picture")
@@ -75,10 +75,11 @@ def _read_frame(folder: Path, root: Entry, entry: Entry) -> Shot:
     matrix = entry["transform_matrix"].array((4, 4))
     if abs(np.linalg.det(matrix)) < 1e-9:
         raise entry["transform_matrix"].fault("is singular", "a rigid camera-to-world matrix")
-    size, focal, centre, distortion = _read_intrinsics(root, entry, image)
+    size, focal, centre = _read_intrinsics(root, entry, image)
+    distortion, fisheye = _read_lens(root, entry)
     try:
         pose = camera_from_world_of_opengl(matrix)
-        camera = Camera(name, *size, focal, centre, pose, distortion)
+        camera = Camera(name, *size, focal, centre, pose, distortion, fisheye)
     except ValueError as error:
         raise fault(entry.where, str(error), "a camera of nerfstudio's convention") from error
     return Shot(camera=camera, image=image, mask=mask, frame=frame, where=entry.where)
@@ -98,9 +99,9 @@ def _image_inside(folder: Path, entry: Entry) -> Path:
 
 def _read_intrinsics(
     root: Entry, entry: Entry, image: Path
-) -> tuple[tuple[int, int], np.ndarray, np.ndarray, np.ndarray]:
-    """Size, focal lengths, principal point and distortion, of the frame or else of the document; the size
-    that neither tells is that of the picture."""
+) -> tuple[tuple[int, int], np.ndarray, np.ndarray]:
+    """Size, focal lengths and principal point, of the frame or else of the document; the size that neither
+    tells is that of the picture."""
 
     def find(key: str) -> Entry | None:
         return entry.get(key) or root.get(key)
@@ -109,9 +110,6 @@ def _read_intrinsics(
         found = find(key)
         return None if found is None else found.number()
 
-    model = find("camera_model")
-    if model is not None and model.value not in _MODELS:
-        raise model.wrong(f"one of {', '.join(_MODELS)} (fisheye pictures must be undistorted before)")
     size = []
     if find("w") is None and find("h") is None and image.suffix.lower() in IMAGE_SUFFIXES:
         size = list(ImageFile(image).size())
@@ -133,12 +131,36 @@ def _read_intrinsics(
         focal_x = 0.5 * size[0] / math.tan(0.5 * angle.number())
     centre = [number("cx"), number("cy")]
     centre = [0.5 * side if at is None else at for at, side in zip(centre, size, strict=True)]
-    if (fourth := find("k4")) is not None and fourth.number() != 0:
-        # nerfstudio's k4 is a fourth power, OpenCV's divides
-        raise fourth.wrong("0: lens distortion is k1, k2, k3, p1, p2")
-    distortion = [number(key) or 0.0 if key in _INTRINSICS else 0.0 for key in DISTORTIONS]
     focal = np.array([focal_x, focal_x if focal_y is None else focal_y])
-    return (size[0], size[1]), focal, np.array(centre), np.array(distortion)
+    return (size[0], size[1]), focal, np.array(centre)
+
+
+def _read_lens(root: Entry, entry: Entry) -> tuple[np.ndarray, np.ndarray | None]:
+    """Distortion (8,), and that of a fisheye (8,), None where it is none, of the frame or else of the
+    document."""
+
+    def given(key: str) -> Entry | None:
+        return entry.get(key) or root.get(key)
+
+    def refuse(keys: tuple[str, ...], expected: str) -> None:
+        for key in keys:
+            if (found := given(key)) is not None and found.number() != 0:
+                raise found.wrong(f"0: {expected}")
+
+    def numbers(keys: tuple[str, ...]) -> np.ndarray:
+        found = [given(key) if key in _INTRINSICS else None for key in keys]
+        return np.array([0.0 if one is None else one.number() for one in found])
+
+    model, flag = given("camera_model"), given("is_fisheye")
+    if model is not None and model.value not in (*_MODELS, *_FISHEYES):
+        raise model.wrong(f"one of {', '.join((*_MODELS, *_FISHEYES))}")
+    fisheye = flag is not None and flag.flag()
+    if fisheye or (model is not None and model.value in _FISHEYES):
+        refuse(("p1", "p2"), "distortion of a fisheye is k1, k2, k3, k4")
+        return np.zeros(len(DISTORTIONS)), numbers(FISHEYE)
+    # nerfstudio's k4 is a fourth power, OpenCV's divides
+    refuse(("k4",), "lens distortion is k1, k2, k3, p1, p2")
+    return numbers(DISTORTIONS), None
 
 
 def write_transforms(
@@ -147,12 +169,16 @@ def write_transforms(
     """Write pictures `files`, relative to `path`, of `cameras` as a transforms.json that can be read again.
 
     frames: index of each picture in its sequence, None for rest views. Raises ValueError for a camera whose
-    distortion the format cannot hold (k4, k5, k6).
+    distortion the format cannot hold (k4 to k6, of a fisheye p1 to sy1).
     """
     entries = []
     for camera, file, frame in zip(cameras, files, frames, strict=True):
-        if camera.distortion[5:].any():
-            raise ValueError(f'camera "{camera.name}": distortion k4 to k6 has no place in transforms.json')
+        if camera.distortion[5:].any() or (camera.fisheye is not None and camera.fisheye[4:].any()):
+            raise ValueError(f'camera "{camera.name}": its distortion has no place in transforms.json')
+        lens = dict(zip(DISTORTIONS[:5], camera.distortion[:5].tolist(), strict=True))
+        if camera.fisheye is not None:
+            lens = {"camera_model": "OPENCV_FISHEYE"}
+            lens |= dict(zip(FISHEYE[:4], camera.fisheye[:4].tolist(), strict=True))
         entry: dict[str, object] = {
             "file_path": file,
             "camera": camera.name,
@@ -162,7 +188,7 @@ def write_transforms(
             "fl_y": camera.focal[1],
             "cx": camera.centre[0],
             "cy": camera.centre[1],
-            **dict(zip(DISTORTIONS[:5], camera.distortion[:5].tolist(), strict=True)),
+            **lens,
             "transform_matrix": opengl_of_camera(camera).tolist(),
         }
         entries.append(entry if frame is None else entry | {"frame": frame})

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -13,14 +12,13 @@ import numpy as np
 from mphygs.capture.annotations import Correspondence, read_contact, read_correspondences
 from mphygs.capture.cameras import Camera
 from mphygs.capture.checks import SIZE
-from mphygs.capture.colmap import read_colmap
 from mphygs.capture.distortion import undistort_image, undistorted
 from mphygs.capture.errors import fault
 from mphygs.capture.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES, ImageFile, Source, Video, VideoFrame
+from mphygs.capture.layouts import named_apart, read_shots
 from mphygs.capture.masks import check_masks, checked_mask, mask_of_picture, mask_of_plate
 from mphygs.capture.record import Capture, Sequence
 from mphygs.capture.shots import Shot
-from mphygs.capture.transforms import read_transforms
 
 LEAST_REST_VIEWS = 3
 LEAST_CAMERAS = 2
@@ -108,7 +106,7 @@ def check_extent(where: str, photographs: list[Photograph]) -> None:
     if not SIZE[0] <= size <= SIZE[1]:
         factor = 1e-3 if size > SIZE[1] else 1e3
         fits = SIZE[0] <= size * factor <= SIZE[1]
-        hint = f"; units look off by 1000: places of cameras times {factor:g}" if fits else ""
+        hint = f"; units look off by 1000: set scale to {factor:g} times its value" if fits else ""
         what = f"by its cameras the object is {size:.3g} m across"
         raise fault(where, what, f"{SIZE[0]:g} to {SIZE[1]:g} m{hint}")
 
@@ -147,12 +145,13 @@ class SequenceViews:
         return [self.views[name, frame].read() for name in self.cameras]
 
 
-def load_rest_views(folder: Path) -> RestViews:
+def load_rest_views(folder: Path, *, scale: float = 1.0) -> RestViews:
     """The dense rest views in `folder`; pictures are read when asked for, the first at once as a check.
 
-    Raises CaptureError, one line, for cameras or files that cannot be used, and for fewer than three views.
+    scale: metres per unit of the reconstruction. Raises CaptureError, one line, for cameras or files that
+    cannot be used, and for fewer than three views.
     """
-    shots = _named_apart(folder, _read_shots(folder))
+    shots = named_apart(folder, read_shots(folder, scale))
     views: dict[str, View] = {}
     for shot in shots:
         name = shot.camera.name
@@ -160,7 +159,7 @@ def load_rest_views(folder: Path) -> RestViews:
             raise fault(shot.where, f'view "{name}" is given twice', "one picture a view")
         if shot.image.suffix.lower() in VIDEO_SUFFIXES:
             raise fault(shot.where, f"{shot.image} is a video", "one image a view of the object at rest")
-        views[name] = _view(folder, shot, ImageFile(shot.image), frame=None)
+        views[name] = _view(folder, shot, ImageFile(shot.image))
     if len(views) < LEAST_REST_VIEWS:
         raise fault(
             str(folder), f"has {len(views)} views", f"at least {LEAST_REST_VIEWS} of the object at rest"
@@ -170,18 +169,23 @@ def load_rest_views(folder: Path) -> RestViews:
 
 
 def load_sequence_views(
-    folder: Path, *, frames: int, rest: RestViews | None = None, first: int | None = None
+    folder: Path,
+    *,
+    frames: int,
+    rest: RestViews | None = None,
+    first: int | None = None,
+    scale: float = 1.0,
 ) -> SequenceViews:
     """The videos in `folder` of a sequence of `frames` frames; the first picture of each camera is read.
 
     An entry that names a video and no frame stands for all frames of that camera. rest: needed where there is
-    a correspondences.json; first: of a whole video, the frame that is frame 0, and it may be longer. Raises
-    CaptureError, one line: a camera or a frame that is missing or given twice, files that cannot be used,
-    fewer than two cameras.
+    a correspondences.json; first: of a whole video, the frame that is frame 0, and it may be longer; scale:
+    metres per unit of the reconstruction. Raises CaptureError, one line: a camera or a frame that is missing
+    or given twice, files that cannot be used, fewer than two cameras.
     """
     views: dict[tuple[str, int], View] = {}
     videos: dict[Path, Video] = {}
-    for shot in _read_shots(folder):
+    for shot in read_shots(folder, scale):
         for frame, source in _frames_of(shot, frames, videos, first):
             key = (shot.camera.name, frame)
             if key in views:
@@ -190,7 +194,7 @@ def load_sequence_views(
                 )
             if frame >= frames:
                 raise fault(shot.where, f"is frame {frame}", f"a frame of the sequence, 0 to {frames - 1}")
-            views[key] = _view(folder, shot, source, frame=frame, videos=videos)
+            views[key] = _view(folder, shot, source, videos)
     cameras = tuple(dict.fromkeys(name for name, _ in views))
     if len(cameras) < LEAST_CAMERAS:
         raise fault(
@@ -227,33 +231,20 @@ def rest_views_of(capture: Capture) -> RestViews:
     """The dense rest views of a capture. Raises CaptureError where it has none or they cannot be used."""
     if capture.views is None:
         raise fault(str(capture.folder / "capture.json"), "has no dense rest views", "object.views")
-    return load_rest_views(capture.views)
+    return load_rest_views(capture.views, scale=capture.views_scale)
 
 
 def sequence_views_of(sequence: Sequence, rest: RestViews | None = None) -> SequenceViews:
     """The videos of a capture's sequence. Raises CaptureError where it has none or they cannot be used."""
     if sequence.views is None:
         raise fault(f'sequence "{sequence.name}"', "has no views", "measured video")
-    first = sequence.first_frame
-    return load_sequence_views(sequence.views, frames=sequence.frames, rest=rest, first=first)
-
-
-def _read_shots(folder: Path) -> list[Shot]:
-    path = folder / "transforms.json"
-    return read_transforms(path) if path.is_file() else read_colmap(folder)
-
-
-def _named_apart(folder: Path, shots: list[Shot]) -> list[Shot]:
-    """The shots of rest views, those of files of one name in several folders named with their folders."""
-    count = Counter(shot.camera.name for shot in shots)
-    named = []
-    for shot in shots:
-        name = shot.camera.name
-        if count[name] > 1 and (name == shot.image.stem or shot.frame is not None):
-            parts = shot.image.relative_to(folder).with_suffix("").parts
-            name = "-".join(parts[parts[0] == "images" :])
-        named.append(replace(shot, camera=replace(shot.camera, name=name)))
-    return named
+    return load_sequence_views(
+        sequence.views,
+        frames=sequence.frames,
+        rest=rest,
+        first=sequence.first_frame,
+        scale=sequence.views_scale,
+    )
 
 
 def _frames_of(
@@ -282,18 +273,11 @@ def _opened(path: Path, videos: dict[Path, Video]) -> Video:
     return videos[path]
 
 
-def _view(
-    folder: Path, shot: Shot, source: Source, *, frame: int | None, videos: dict[Path, Video] | None = None
-) -> View:
+def _view(folder: Path, shot: Shot, source: Source, videos: dict[Path, Video] | None = None) -> View:
     mask = shot.mask or _beside(folder, shot.image, "masks")
     found: Source | None = None
-    if (
-        mask is not None
-        and mask.suffix.lower() in VIDEO_SUFFIXES
-        and videos is not None
-        and frame is not None
-    ):
-        found = VideoFrame(_opened(mask, videos), frame)
+    if mask is not None and mask.suffix.lower() in VIDEO_SUFFIXES and isinstance(source, VideoFrame):
+        found = _masked(source, _opened(mask, {} if videos is None else videos))
     elif mask is not None:
         found = ImageFile(mask)
     elif (folder / "masks").is_dir():
@@ -301,6 +285,15 @@ def _view(
     plates = [folder / "background" / f"{shot.camera.name}{suffix}" for suffix in IMAGE_SUFFIXES]
     plate = next((ImageFile(path) for path in plates if path.is_file()), None)
     return View(camera=shot.camera, source=source, mask=found, plate=plate)
+
+
+def _masked(source: VideoFrame, mask: Video) -> VideoFrame:
+    """The frame of a video of masks that belongs to one of its video. Raises CaptureError for one that is
+    longer or shorter."""
+    if mask.frame_count != source.video.frame_count:
+        expected = f"{source.video.frame_count}, as its video"
+        raise fault(str(mask.path), f"has {mask.frame_count} frames", expected)
+    return VideoFrame(mask, source.index)
 
 
 def _beside(folder: Path, image: Path, kind: str) -> Path | None:

@@ -106,7 +106,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     # Many models are tried on a coarser grid, unless the run stands on one of the user's choice.
     usual = abs(spacing / default_spacing(experiment.capture) - 1.0) < 0.1
     trying = screening_spacing(experiment.capture) if usual else spacing
-    done, earlier = Kept.of(kept), [restored_ranking(told) for told in kept.get("rankings", [])]
+    done, earlier = Kept.of(kept, so_far), [restored_ranking(told) for told in kept.get("rankings", [])]
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
 
     def keep(rankings: Sequence[Ranking]) -> None:
@@ -169,13 +169,13 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
 
 def _so_far(path: Path, options: DiagnoseOptions) -> dict:
     """What the diagnosis that was stopped had found. Raises OptionError where there is none like it."""
-    kept = read_kept(path, PROGRAM)
+    kept = read_kept(path)
     if not kept:
         raise OptionError(f"--resume: {path.parent} has no diagnosis that was stopped; expected one")
-    if kept["candidates"] != options.effects:
+    if kept.get("candidates") != options.effects:
         raise OptionError(
             f"--effects: got {options.effects or 'every known one'}, but the diagnosis of {path.parent} "
-            f"began with {kept['candidates'] or 'every known one'}; expected the same to resume"
+            f"began with {kept.get('candidates') or 'every known one'}; expected the same to resume"
         )
     return kept
 

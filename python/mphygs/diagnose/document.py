@@ -8,7 +8,7 @@ import numpy as np
 
 from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.ranking import LEVEL, Entry, Ranking
-from mphygs.model.registry import effect
+from mphygs.model.registry import effects
 
 SHOWN = 8
 
@@ -151,7 +151,8 @@ def seen_from(entry: Mapping[str, object]) -> str:
     sizes = entry.get("detectable")
     if not isinstance(sizes, Mapping):  # an older diagnosis
         return ""
-    units = {p.name: p.unit for p in effect(str(entry["effect"])).parameters}
+    known = effects().get(str(entry["effect"]))  # none where a plugin's is not named
+    units = {} if known is None else {p.name: p.unit for p in known.parameters}
     told = []
     for name, size in sizes.items():
         unit = units.get(name, "-")

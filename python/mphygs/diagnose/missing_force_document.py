@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors.numpy import save
 
+from mphygs.capture.errors import fault
+from mphygs.capture.patterns import LARGEST
+from mphygs.capture.tensors import read_tensors
 from mphygs.diagnose.force_plugin import EFFECT, plugin_text
 from mphygs.diagnose.force_readings import WORDS, ForceSample, direction, nature, rms, when, where
 from mphygs.diagnose.force_regression import Explained, formula_of
@@ -24,6 +26,7 @@ from mphygs.simulate.fields import primal
 from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 
 NUMBERS, PLUGIN = "missing-force.safetensors", "missing_force.py"
+FORMAT = "mphygs-force/1"
 # A force that takes away less than this share of the misfit is no force: nothing is told of it.
 WORTH_TELLING = 0.05
 
@@ -87,7 +90,7 @@ class Unexplained:
                 f"{s.sequence}.mass": s.mass,
                 f"{s.sequence}.part": np.asarray(s.part, np.int64),
             }
-        content = save({k: np.ascontiguousarray(v) for k, v in numbers.items()})
+        content = save({k: np.ascontiguousarray(v) for k, v in numbers.items()}, metadata={"format": FORMAT})
         part = folder / f".{NUMBERS}"
         part.write_bytes(content)
         part.replace(folder / NUMBERS)
@@ -172,16 +175,23 @@ def load_samples(folder: Path, names: Mapping[str, object]) -> dict[str, tuple[n
     path = folder / NUMBERS
     if not path.is_file():
         return {}
-    try:
-        numbers = load_file(path)
-        return {
-            name: tuple(numbers[f"{name}.{what}"] for what in ("frames", "position", "force"))
-            for name in names
-            if f"{name}.force" in numbers
-        }
-    except (OSError, SafetensorError, KeyError) as error:
-        what = f"{path}: cannot be read ({error}); expected a force as diagnose writes it"
-        raise ValueError(what) from error
+    expected = "a force as diagnose writes it"
+    numbers = read_tensors(path, expected)
+    found = {}
+    for name in (name for name in names if f"{name}.force" in numbers):
+        keys = [f"{name}.{what}" for what in ("frames", "position", "force")]
+        missing = [key for key in keys if key not in numbers]
+        if missing:
+            raise fault(str(path), f"has no {missing[0]}", expected)
+        frames, position, force = found[name] = tuple(numbers[key] for key in keys)
+        if frames.ndim != 1 or frames.dtype != np.int64 or (frames < 0).any():
+            raise fault(f"{path}: {keys[0]}", "holds what is no frame", expected)
+        for key, array in zip(keys[1:], (position, force), strict=True):
+            if array.ndim != 3 or array.shape != (len(frames), *position.shape[1:2], 3):
+                raise fault(f"{path}: {key}", f"has shape {array.shape}", f"{expected}, (T, C, 3)")
+            if array.dtype != np.float64 or not (np.abs(array) < LARGEST).all():
+                raise fault(f"{path}: {key}", "holds what is no number", expected)
+    return found
 
 
 def missing_force_text(document: Mapping[str, object], capture: Path, folder: Path) -> list[str]:

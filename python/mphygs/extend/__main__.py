@@ -79,7 +79,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
         replace(state, left_out=kept_left_out(kept) or state.left_out), workers=options.workers
     )
     spacing = state.settings.spacing
-    done = Kept.of(kept)
+    done = Kept.of(kept, out / DOCUMENT)
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
     if not done.documents:
         # What the run leaves out of the measurements is an effect of it, though no term of the model.
@@ -128,7 +128,7 @@ def verdict_of(adequate: bool, paying: Sequence[str], explained: bool) -> str:
 
 def _kept(out: Path, wanted: Sequence[str]) -> dict:
     """What was found before it was stopped. Raises OptionError where nothing is kept of these effects."""
-    kept = read_kept(out / DOCUMENT, PROGRAM)
+    kept = read_kept(out / DOCUMENT)
     if not kept.get("asked"):
         raise OptionError(f"--resume: {out} holds no step of {PROGRAM}; expected the --out of one")
     if kept["asked"] != list(wanted):

@@ -11,28 +11,35 @@ from mphygs.capture.written import replace_file
 from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.step import Step
 from mphygs.extend.steps import left_out_of, restored, state_of, step_document
-from mphygs.fit.belief_document import belief_from_document, document_of_belief
+from mphygs.extend.told import check_known, check_models, read_steps
+from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
 from mphygs.fit.experiment import Experiment
+
+# Of an effect in a ranking, what a diagnosis that is resumed has to know.
+_RANKED = ("effect", "label", "kind", "statistic", "p_value", "expected_ratio", "estimate", "std")
 
 
 @dataclass
 class Kept:
     """The steps of a loop. documents: as they are told; states: what else it takes to make them again;
-    ranking: of the first diagnosis, as a document, once there is one; drift: what it says would have to."""
+    ranking: of the first diagnosis, as a document, once there is one; drift: what it says would have to;
+    where: the file that they are kept in."""
 
     documents: list[dict] = field(default_factory=list)
     states: list[dict] = field(default_factory=list)
     ranking: list[dict] | None = None
     drift: list[dict] = field(default_factory=list)
+    where: str = ""
 
     @classmethod
-    def of(cls, document: Mapping) -> Kept:
-        """As `document` told it; nothing of an empty one."""
+    def of(cls, document: Mapping, path: Path) -> Kept:
+        """As the `document` in a file told it; nothing of an empty one."""
         return cls(
             list(document.get("steps", [])),
             list(document.get("states", [])),
             document.get("ranking"),
             list(document.get("drift", [])),
+            str(path),
         )
 
     def tell(
@@ -52,7 +59,8 @@ class Kept:
         self.states[at : at + 1] = [state_of(step)]
 
     def steps(self, experiment: Experiment) -> list[Step]:
-        """The steps as they were."""
+        """The steps as they were. Raises ValueError where they are not of the experiment's object."""
+        check_models(self.where, self.states, experiment.capture)
         before = [(), *(document["effects"] for document in self.documents)]
         return [
             restored(experiment, state, document, earlier)
@@ -75,17 +83,13 @@ def write_kept(path: Path, document: Mapping[str, object]) -> None:
     replace_file(path, json.dumps(document, indent=1) + "\n")
 
 
-def read_kept(path: Path, program: str) -> dict:
-    """What is kept in a file, nothing where there is none. Raises ValueError for one that is damaged."""
-    if not path.is_file():
+def read_kept(path: Path) -> dict:
+    """What is kept in a file, nothing where there is none. Raises ValueError for one that is damaged, or
+    speaks of effects that are not known here."""
+    kept = read_steps(path)
+    if kept is None:
         return {}
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: is not JSON ({error}); expected the steps of {program}") from error
-    steps = kept.get("steps", []) if isinstance(kept, dict) else None
-    if not isinstance(steps, list) or not all(isinstance(s, dict) and "effects" in s for s in steps):
-        raise ValueError(f"{path}: holds no steps; expected those of {program}")
+    check_known(path)
     return kept
 
 
@@ -103,17 +107,8 @@ def state_of_ranking(ranking: Ranking) -> dict[str, object]:
         "chi_square": ranking.chi_square,
         "rows": ranking.rows,
         "entries": [
-            {
-                "effect": entry.effect,
-                "label": entry.label,
-                "kind": entry.kind,
-                "statistic": entry.statistic,
-                "p_value": entry.p_value,
-                "expected_ratio": entry.expected_ratio,
-                "estimate": dict(entry.estimate),
-                "std": dict(entry.std),
-                "start": document_of_belief(entry.start),
-            }
+            {key: plain_value(getattr(entry, key)) for key in _RANKED}
+            | {"start": document_of_belief(entry.start)}
             for entry in ranking.entries
         ],
     }
@@ -122,6 +117,7 @@ def state_of_ranking(ranking: Ranking) -> dict[str, object]:
 def restored_ranking(state: Mapping) -> Ranking:
     """The ranking of a state, as far as that tells it."""
     entries = [
-        Entry(**(given | {"start": belief_from_document(given["start"])})) for given in state["entries"]
+        Entry(**{key: given[key] for key in _RANKED}, start=belief_from_document(given["start"]))
+        for given in state["entries"]
     ]
     return Ranking(tuple(entries), state["chi_square"], state["rows"], None)

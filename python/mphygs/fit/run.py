@@ -12,12 +12,12 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors.numpy import save
 
 from mphygs.capture.document import read_document
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import Capture
+from mphygs.capture.tensors import read_tensors
 from mphygs.capture.written import replace_file
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
 from mphygs.fit.run_checks import check_run_document
@@ -259,11 +259,11 @@ def check_links(folder: Path) -> None:
 def _matrices(folder: Path, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
     """Covariance and information of a complete run, whose numbers must be those of its belief."""
     where = folder / NUMBERS
+    numbers = read_tensors(where, f"the numbers of {DOCUMENT}")
     try:
-        numbers = load_file(where)
         values, covariance, information = (numbers[key] for key in ("values", "covariance", "information"))
-    except (OSError, SafetensorError, KeyError) as error:
-        raise ValueError(f"{where}: cannot be read ({error}); expected the numbers of {DOCUMENT}") from error
+    except KeyError as error:
+        raise ValueError(f"{where}: has no {error}; expected the numbers of {DOCUMENT}") from error
     count = len(belief.free)
     if not all(array.dtype == np.float64 and np.isfinite(array).all() for array in (covariance, information)):
         raise ValueError(f"{where}: holds what is no number; expected the numbers of {DOCUMENT}")

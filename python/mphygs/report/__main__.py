@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from mphygs.compare.image_errors import joined
 from mphygs.diagnose.__main__ import DOCUMENT as DIAGNOSIS
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
 from mphygs.extend.__main__ import DOCUMENT as STEPS
+from mphygs.extend.told import check_models, read_diagnosis, read_steps
 from mphygs.fit.of_run import chosen_names, experiment_of, pictured_of
 from mphygs.fit.run import Run, load_run
 from mphygs.fit.tables import parameters_of
@@ -62,9 +62,11 @@ def report(options: ReportOptions, console: Console) -> Answer:
     parameters = parameters_of(state)
     out = options.out or state.folder / "report.html"
     claim_file(out)
-    diagnosis = _optional(state.folder / DIAGNOSIS, "verdict", "ranking", "advice")
-    steps = _optional(state.folder / STEPS, "steps")
+    diagnosis = read_diagnosis(state.folder / DIAGNOSIS)
+    steps = read_steps(state.folder / STEPS)
     experiment, belief = experiment_of(state, workers=options.workers)
+    if steps is not None:
+        check_models(state.folder / STEPS, steps.get("states", ()), experiment.capture)
     spacing = state.settings.spacing
     wanted = chosen_names(experiment, ())
     compared = experiment.compare(belief, spacing, names=wanted, refine=True, report=console.say)
@@ -131,20 +133,6 @@ def commands_of(state: Run) -> list[str]:
     lines += [f"mphygs compare {folder}", f"mphygs report {folder}"]
     plugin = f" --plugin {shlex.quote(str(options['plugin']))}" if options.get("plugin") else ""
     return [lines[0], *(line + plugin for line in lines[1:])]
-
-
-def _optional(path: Path, *keys: str) -> dict | None:
-    """What another command left in the run folder, None where it was not run. ValueError if damaged."""
-    if not path.is_file():
-        return None
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: is not JSON ({error}); expected what its command wrote") from error
-    for key in keys:
-        if not isinstance(found, dict) or key not in found:
-            raise ValueError(f"{path}: has no '{key}'; expected what its command wrote")
-    return found
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def check_first_frame(
         raise fault(
             where,
             f"shows an object {size:.2f} times as large as the rest views",
-            "the same object, and cameras of both in metres",
+            "the same object, and cameras of both in metres (scale beside views)",
         )
     colours = float(np.minimum(_histogram(rest), _histogram(first)).sum())
     if colours < _LEAST_COLOURS:
