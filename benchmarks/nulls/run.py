@@ -29,7 +29,9 @@ from mphygs.synth.markers import NOISES, Noise
 from mphygs.synth.recipe import recipe
 
 STANDARD_ERRORS = 2.0
-COLUMNS = ("noise", "of", "adequate", "physics", "faults", "formulas", "E in 2 std", "worst z", "std of E %", "s")
+COLUMNS = (
+    "noise", "of", "adequate", "physics", "faults", "formulas", "E in 2 std", "worst z", "std of E %", "s",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

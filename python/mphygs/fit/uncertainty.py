@@ -60,6 +60,23 @@ def prediction_change(evaluation: Evaluation, coarse: Evaluation, ratio: float) 
     return (evaluation.residual[rows] - coarse.residual[rows]) * extrapolation(ratio)
 
 
+def grid_directions(problem: Problem, evaluation: Evaluation, change: np.ndarray) -> np.ndarray:
+    """(N, K) errors of the size of a grid's that drift in time, of random amplitude, in the measured rows.
+
+    change: (N,) error of the grid in them.
+    """
+    found = []
+    for name, rows in evaluation.rows.items():
+        if not np.any(change[rows]):
+            continue
+        whitener = problem.whitener(name)
+        part = problem.predictors[name].attachment.part[whitener.marker]
+        own = modulated_directions(change[rows], part, whitener.frame, count=MODULATIONS)
+        found.append(np.zeros((evaluation.data_rows, own.shape[1])))
+        found[-1][rows] = own
+    return np.concatenate(found, axis=1) if found else np.zeros((evaluation.data_rows, 0))
+
+
 def grid_moves(
     problem: Problem, evaluation: Evaluation, change: np.ndarray, inverse: np.ndarray
 ) -> np.ndarray:
@@ -67,15 +84,8 @@ def grid_moves(
 
     change: (N,) error of the grid in the measured rows; inverse: (P, P) of the normal matrix.
     """
-    moved = []
-    for name, rows in evaluation.rows.items():
-        if not np.any(change[rows]):
-            continue
-        whitener = problem.whitener(name)
-        part = problem.predictors[name].attachment.part[whitener.marker]
-        directions = modulated_directions(change[rows], part, whitener.frame, count=MODULATIONS)
-        moved.append(inverse @ (evaluation.jacobian[rows].T @ directions))
-    return np.concatenate(moved, axis=1) if moved else np.zeros((len(inverse), 0))
+    directions = grid_directions(problem, evaluation, change)
+    return inverse @ (evaluation.jacobian[: evaluation.data_rows].T @ directions)
 
 
 def extrapolation(ratio: float) -> float:
