@@ -17,6 +17,7 @@ from mphygs import predict
 from mphygs.capture.format import Known
 from mphygs.fit import __main__ as command
 from mphygs.fit import checkpointed
+from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.simulate.errors import SimulationError
@@ -39,7 +40,8 @@ def test_finds_the_truth_within_its_errors(fitted: dict) -> None:
     for key, truth in {**TRUTH, "viscosity.eta": ETA}.items():
         entry = fitted["parameters"][key]
         assert entry["determined"]
-        assert 0 < entry["std"] < 0.1 * truth
+        # On so coarse a grid most of it is what a finer one would change.
+        assert 0 < entry["std"] < 0.3 * truth
         assert abs(entry["value"] - truth) < 3 * entry["std"]
     assert fitted["parameters"]["viscosity.eta"]["unit"] == "Pa s"
 
@@ -60,11 +62,15 @@ def test_intervals_can_be_asked_for_afterwards(fitted: dict, tmp_path: Path) -> 
     folder = shutil.copytree(fitted["run"], tmp_path / "run")
     again = answer(command.main, "--out", folder, "--resume", "--intervals", "--workers", 1)
     assert set(again["parameters"]) == set(fitted["parameters"])
-    for key, entry in again["parameters"].items():
+    experiment, belief = experiment_of(load_run(folder))
+    noise = covariance(experiment.problem(SPACING).evaluate(belief))
+    for p, variance in zip(belief.free, np.diag(noise), strict=True):
+        entry = again["parameters"][p.key]
         low, high = entry.pop("interval")
-        assert entry == fitted["parameters"][key]
+        assert entry == fitted["parameters"][p.key]
         assert low < entry["value"] < high
-        assert high - low == pytest.approx(4.0 * entry["std"], rel=0.2)
+        # Of the noise: what the grid does is no part of the likelihood.
+        assert high - low == pytest.approx(4.0 * np.sqrt(variance) * p.slope, rel=0.2)
     code, out, _ = call(command.main, "--out", folder, "--resume", "--intervals", "--workers", 1)
     assert code == 0
     assert "interval (2 sd)" in out

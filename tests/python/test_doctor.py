@@ -13,6 +13,7 @@ from mphygs.fit import __main__ as fit_command
 from mphygs.fit.examination import leading_frequency, longest_gap
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.identifiable import Identifiable
+from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.start import starting_belief
@@ -46,13 +47,16 @@ def test_a_good_capture_has_nothing_in_the_way(capture: Path) -> None:
     assert code == 0 and "nothing found that would stand in the way of a fit" in out
 
 
-def test_expected_errors_are_those_of_a_fit(capture: Path, tmp_path: Path) -> None:
+def test_expected_errors_are_what_noise_makes_of_a_fit(capture: Path, tmp_path: Path) -> None:
     options = ("--effects", "viscosity", "--out", tmp_path / "run", "--spacing", SPACING, "--workers", 1)
-    fitted = answer(fit_command.main, capture, *options)
+    fitted = answer(fit_command.main, capture, *options)["parameters"]
     experiment, belief = experiment_of(load_run(tmp_path / "run"), workers=1)
     expected = Identifiable.of(experiment, belief).expected()
-    for key in (*TRUTH, "viscosity.eta"):
-        assert expected[key].std == pytest.approx(fitted["parameters"][key]["std"], rel=0.35)
+    noise = covariance(experiment.problem(SPACING).evaluate(belief))
+    for p, variance in zip(belief.free, np.diag(noise), strict=True):
+        if p.key in (*TRUTH, "viscosity.eta"):
+            assert expected[p.key].std == pytest.approx(np.sqrt(variance) * p.slope, rel=0.35)
+            assert expected[p.key].std < 1.35 * fitted[p.key]["std"]
     beside = answer(doctor.main, capture, "--effects", "viscosity", "--workers", 1)["parameters"]
     assert 0 < beside["viscosity.eta"]["std"] < ETA
 

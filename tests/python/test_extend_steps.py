@@ -18,6 +18,7 @@ from mphygs.extend.steps import restored, state_of, step_at, step_document, unce
 from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.boundary_share import boundary_columns
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import covariance, minimise
 from mphygs.simulate.prediction import Settings
 
@@ -35,12 +36,14 @@ def test_a_coarse_grid_is_not_sure_of_the_stiffness() -> None:
     plain = step_at(experiment, belief, COARSE)
     assert not known_budget(plain)
     noise = covariance(plain.solution.evaluation)
-    # What it leaves is not explained: all of it counts as noise.
+    # What it leaves is not explained: all of it counts as noise, and what of it lasts besides.
     misfit = plain.solution.evaluation.misfit
     assert not plain.explained and misfit > 1.5
     spread, information, places = uncertainty(plain, experiment)
     assert not places
-    assert spread == pytest.approx(noise * misfit**2)
+    lasts = widened_by_lasting(experiment.problem(COARSE), plain.solution.evaluation, noise)
+    assert lasts[0, 0] > noise[0, 0]
+    assert spread == pytest.approx(noise * misfit**2 + lasts)
     # A boundary that pictures leave unsure adds to that, and is taken from what the measurements say.
     part = replace(capture.parts[0], boundary=1e-4)
     unsure = replace(experiment, capture=replace(experiment.capture, parts=(part,)))

@@ -51,7 +51,7 @@ def test_a_grid_counts_by_how_far_a_finer_one_would_still_move_a_number() -> Non
     np.testing.assert_allclose(change, [-np.log(1.3), 0.0])
     at_bound = coarse.with_parameter(free[0], value=coarse[free[0]].upper)
     np.testing.assert_allclose(grid_change(at_bound, fine, 2.0), 0.0)
-    with pytest.raises(ValueError, match="ratio of spacings 1; expected above 1"):
+    with pytest.raises(ValueError, match="ratio of spacings 1; expected another than 1"):
         grid_change(coarse, fine, 1.0)
 
 
@@ -98,3 +98,21 @@ def test_a_fit_counts_how_far_its_grids_are_apart(tmp_path: Path) -> None:
     (parameter,) = belief.free
     std = told["parameters"]["part0.youngs_modulus"]["std"]
     assert std >= 0.99 * abs(change[0]) * parameter.slope > 0.1 * std
+
+
+def test_a_fit_on_one_coarse_grid_asks_a_finer_one_for_its_error(tmp_path: Path) -> None:
+    """Recorded on a finer grid, E is off by many deviations of the noise, and by few of those told."""
+    shake = 0.006 * np.sin(np.linspace(0.0, 9.0, FRAMES))[:, None] * [0.2, 1.0, 0.4]
+    known = Known(density={"part0": 1000.0}, poissons_ratio=0.3)
+    capture = bar_capture(
+        frames=FRAMES, fps=60.0, motion=shake, fit=(0, FRAMES), sigma=SIGMA, known=known
+    )
+    save_capture(recorded(capture, bar_belief(capture, youngs_modulus=5e4), 0.004), tmp_path / "bar")
+    told = answer(fit.main, tmp_path / "bar", "--out", tmp_path / "run", "--spacing", "0.01")
+    run = load_run(tmp_path / "run")
+    assert {stage.spacing for stage in run.history} == {0.01}
+    experiment, belief = experiment_of(run)
+    noise = float(np.sqrt(covariance(experiment.problem(0.01).evaluate(belief))[0, 0])) * 5e4
+    entry = told["parameters"]["part0.youngs_modulus"]
+    off = abs(entry["value"] - 5e4)
+    assert off > 5.0 * noise and 0.3 * off < entry["std"] < 3.0 * off

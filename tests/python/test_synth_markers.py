@@ -45,6 +45,29 @@ def test_jitter_moves_all_markers_of_a_frame_together() -> None:
     assert abs(lag_one(noise)) < 0.06
 
 
+def test_rounded_noise_stands_on_a_grid_and_has_its_sigma() -> None:
+    noise = drawn(kind="rounded", share=0.5)
+    step = 3e-4 * np.sqrt(6.0)
+    np.testing.assert_allclose(noise / step, np.round(noise / step), atol=1e-9)
+    # Rounding adds a twelfth of the step's square where values are spread over steps.
+    spread = np.random.default_rng(1).uniform(0.0, 1.0, STILL.shape)
+    measured = measure(spread, Noise("rounded", 3e-4, dropout=0.0), np.random.default_rng(5))
+    assert (measured - spread).std() == pytest.approx(3e-4, rel=0.02)
+
+
+def test_heavy_noise_has_its_sigma_and_tails() -> None:
+    noise = drawn(kind="heavy")
+    assert noise.std() == pytest.approx(3e-4, rel=0.05)
+    assert (np.abs(noise) > 4.0 * 3e-4).mean() > 20.0 * 6.3e-5
+    assert abs(lag_one(noise)) < 0.02
+
+
+def test_growing_noise_grows_fourfold() -> None:
+    noise = drawn(kind="growing")
+    assert noise.std() == pytest.approx(3e-4, rel=0.02)
+    assert noise[-20:].std() / noise[:20].std() == pytest.approx(4.0, rel=0.15)
+
+
 def test_lost_values_are_missing_as_whole_points() -> None:
     noise = drawn(kind="white", dropout=0.1)
     lost = np.isnan(noise)

@@ -11,8 +11,8 @@ import pytest
 from capture_example import Example, write_c3d
 from mphygs.capture.track_faults import marker_survey
 from mphygs.capture.track_faults.examined import CHECKS, examined
-from mphygs.capture.track_faults.noise_level import own_noise, quantum
-from mphygs.capture.track_faults.scatter import scatter
+from mphygs.capture.track_faults.noise_level import quantum
+from mphygs.capture.track_faults.scatter import own_noise, scatter
 from mphygs.capture.track_faults.tracks import Tracks
 from mphygs.compare.noise import _with_offset
 from mphygs.compare.whitening import NoiseModel

@@ -9,10 +9,9 @@ import numpy as np
 
 from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
-from mphygs.capture.track_faults.noise_level import own_noise
+from mphygs.capture.track_faults.scatter import SeenSigma, own_noise, seen_sigma
 from mphygs.compare.autoregression import Autoregression
 from mphygs.compare.seen import mean_seen
-from mphygs.compare.seen_sigma import SeenSigma, seen_sigma
 from mphygs.compare.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 

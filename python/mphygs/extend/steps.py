@@ -16,6 +16,7 @@ from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import errors_of
 from mphygs.fit.places import located, movable, with_places
@@ -114,9 +115,10 @@ class Uncertainty(NamedTuple):
 
 
 def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
-    """How sure a step is: by the noise, places that were fitted and boundaries that pictures leave unsure,
-    and in the covariance by the grid as well: by how far its numbers came from a coarser one, and by what a
-    refinement of its prediction would move where one is known, whichever is more.
+    """How sure a step is: by the noise, what of it lasts or is shared by markers, places that were fitted and
+    boundaries that pictures leave unsure, and in the covariance by the grid as well: by how far its numbers
+    came from a coarser one, and by what a refinement of its prediction would move where one is known,
+    whichever is more.
 
     What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
     noise, and even that says too little, for it goes on from frame to frame.
@@ -129,6 +131,7 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     known = with_places(grid, step.belief, evaluation, noise, information, change)
     columns = boundary_columns(experiment.capture.parts, step.belief.free)
     spread, information = widened(known.covariance, known.information, columns)
+    spread = spread + widened_by_lasting(grid, evaluation, noise)
     if not step.explained:
         spread = spread + noise * (max(evaluation.misfit, 1.0) ** 2 - 1.0)
     shift = known.shift

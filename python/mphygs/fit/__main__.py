@@ -23,7 +23,7 @@ from mphygs.fit.first_frames import starts_document, starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.of_run import capture_of, errors_of, feedback_document, pictured_of
-from mphygs.fit.one_sided import one_sided, with_bounds
+from mphygs.fit.one_sided import coarser_change, limits_of, with_bounds, with_limits
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
@@ -167,14 +167,17 @@ def fitted(
     if options.intervals:
         console.say("the fit is done and kept; intervals from the likelihood:")
         found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
+    limits, problem, evaluation = {}, experiment.problem(state.settings.spacing), None
+    if state.stages is None and not screening:  # the first of many models is no one's answer
+        evaluation = problem.evaluate(state.belief)
+    if evaluation is not None and evaluation.misfit <= FAR:  # else what the model lacks would be a bound
+        change = coarser_change(state, experiment, evaluation)
+        limits = limits_of(problem, state.belief, evaluation, change)
+        state = with_limits(state, limits, parameters_of(state))
     answer = _answer(state, experiment, console, found)
-    if state.stages is None:
-        problem = experiment.problem(state.settings.spacing)
-        if state.history[-1].misfit <= FAR:  # else what the model lacks would be taken for a bound
-            bounds = one_sided(problem, state.belief, answer["parameters"])
-            answer["parameters"] = with_bounds(answer["parameters"], bounds)
-        if not screening:  # the first of many models is no one's answer
-            answer["sensitivity"] = sensitivity_of(problem, state.belief, problem.evaluate(state.belief))
+    answer["parameters"] = with_bounds(answer["parameters"], limits)
+    if evaluation is not None:
+        answer["sensitivity"] = sensitivity_of(problem, state.belief, evaluation)
     if options.feedback is not None:
         console.say("predicting under feedback")
         answer["feedback"] = feedback_document(

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from mphygs.fit.determined import information_of
-from mphygs.fit.experiment import Experiment
+from mphygs.fit.experiment import REFINEMENT, Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.paper_plan import PaperStage, paper_plan, remembers
 from mphygs.fit.run import Run, StageRecord
@@ -37,19 +37,22 @@ def _ratio(plan: Sequence[Stage | PaperStage], number: int) -> float:
 
 
 def _spread(
-    experiment: Experiment, solution: Solution, before: Belief, spacing: float, coarser: float
+    experiment: Experiment, solution: Solution, before: Belief, spacing: float, coarser: float, alone: bool
 ) -> np.ndarray:
-    """(P, P) covariance of a fit. before: the belief of the stage before; coarser: see `_ratio`."""
+    """(P, P) covariance of a fit. before: the belief of the stage before; coarser: see `_ratio`; alone:
+    whether a finer grid is asked for the error of this one, where there was no coarser one."""
     problem, evaluation = experiment.problem(spacing), solution.evaluation
-    if coarser <= 1.0:
-        return spread_of(problem, evaluation)
-    try:
-        other = experiment.problem(spacing * coarser).evaluate(solution.belief, jacobian=False)
-    except SimulationError:
-        change = None  # what the coarse grid cannot carry it cannot be compared with
-    else:
-        change = prediction_change(evaluation, other, coarser)
-    return spread_of(problem, evaluation, grid_change(before, solution.belief, coarser), change)
+    ratio = coarser if coarser > 1.0 else 1.0 / REFINEMENT
+    change = None
+    if coarser > 1.0 or alone:
+        try:
+            other = experiment.problem(spacing * ratio).evaluate(solution.belief, jacobian=False)
+        except SimulationError:
+            pass  # what the other grid cannot carry it cannot be compared with
+        else:
+            change = prediction_change(evaluation, other, ratio)
+    moved = grid_change(before, solution.belief, coarser) if coarser > 1.0 else None
+    return spread_of(problem, evaluation, moved, change)
 
 
 def fit_run(
@@ -115,7 +118,9 @@ def fit_run(
         if last:
             run = replace(
                 run,
-                covariance=_spread(experiment, solution, before, stage.spacing, coarser),
+                covariance=_spread(
+                    experiment, solution, before, stage.spacing, coarser, not (paper or screening)
+                ),
                 information=information_of(solution.evaluation, len(solution.belief.free)),
             )
         run.save()

@@ -26,6 +26,8 @@ USUAL_SIZES = 10.0
 SMALL = 0.05
 # Components below this share of a direction's largest are not named.
 SMALLEST_COMPONENT = 0.2
+# What is noted of a number of which nothing is known.
+SAYS_NOTHING = "the data say nothing about it"
 # How surely the length of a direction, fitted as a vector of any length, is known to be one.
 CERTAIN = 1e-6
 
@@ -144,7 +146,7 @@ def _note(free: Sequence[Parameter], directions: np.ndarray, left: np.ndarray, i
     named = np.flatnonzero(np.abs(direction) > SMALLEST_COMPONENT * np.abs(direction).max())
     keys = [free[i].key for i in named]
     if len(named) < 2 or index not in named:
-        return "the data say nothing about it"
+        return SAYS_NOTHING
     same = np.ptp(direction[named]) < 0.3 * np.abs(direction[named]).max()
     if all(free[i].log for i in named) and same:
         if len(named) == 2:

@@ -16,7 +16,7 @@ from mphygs.command import Answer, CommonOptions, Console, OptionError, names, r
 from mphygs.synth.faults import DEFAULTS as FAULTS
 from mphygs.synth.flower.__main__ import main as flower
 from mphygs.synth.make import make_capture
-from mphygs.synth.markers import Noise
+from mphygs.synth.markers import NOISES, Noise
 from mphygs.synth.recipe import Recipe, default_takes, recipe
 from mphygs.synth.shapes import shape
 
@@ -54,8 +54,9 @@ class SynthOptions(CommonOptions):
     start: Literal["rest", "pulled", "moving"] = "rest"
     """rest: the motion begins at rest; pulled: frame 0 is where the object, pulled aside, is let go; moving:
     frame 0 is in the midst of a movement of the hold."""
-    noise: Literal["white", "correlated", "jitter"] = "white"
-    """White, or half its variance correlated in time, or half of it common to all markers of a frame."""
+    noise: Literal[NOISES] = "white"
+    """White, or half its variance correlated in time, or half of it common to all markers of a frame, or half
+    of it that of values rounded to a grid; or white, but with heavy tails, or growing fourfold."""
     sigma: float = 2e-4
     """Standard deviation of the noise of one coordinate [m]."""
     dropout: float = 0.02

@@ -10,7 +10,10 @@ import numpy as np
 from mphygs.capture.meshes import Part
 from mphygs.scene.particles import inside
 
-NOISES = ("white", "correlated", "jitter")
+NOISES = ("white", "correlated", "jitter", "rounded", "heavy", "growing")
+# Degrees of freedom of Student's t where tails are heavy; sigma of the last frame over that of the first
+# where noise grows.
+HEAVY, GROWTH = 4, 4.0
 
 
 @dataclass(frozen=True)
@@ -18,8 +21,10 @@ class Noise:
     """Noise of one coordinate of one marker.
 
     kind: white; correlated: a share of the variance follows an AR(1) in time; jitter: a share is common to
-    all markers of a frame. sigma: [m], of all together; share: of the variance; correlation: from frame to
-    frame; dropout: share of the values that are missing.
+    all markers of a frame; rounded: a share is that of values rounded to a grid; heavy: white, of Student's t
+    of few degrees of freedom; growing: white, growing with the frames. sigma: [m], of all together, root mean
+    square over the frames; share: of the variance; correlation: from frame to frame; dropout: share of the
+    values that are missing.
     """
 
     kind: str = "white"
@@ -96,19 +101,35 @@ def _on_surface(part: Part, count: int, generator: np.random.Generator) -> np.nd
 
 def measure(position: np.ndarray, noise: Noise, generator: np.random.Generator) -> np.ndarray:
     """Tracks (T, M, 3) [m] with noise on every coordinate, NaN where a marker was not seen."""
-    white = generator.standard_normal(position.shape)
-    if noise.kind != "white":
-        part = np.empty_like(position) if noise.kind == "correlated" else np.empty((len(position), 1, 3))
-        innovation = generator.standard_normal(part.shape)
-        if noise.kind == "correlated":
+    measured = position + noise.sigma * _unit(position.shape, noise, generator)
+    if noise.kind == "rounded":
+        step = noise.sigma * np.sqrt(12.0 * noise.share)
+        measured = step * np.round(measured / step) if step else measured
+    measured[generator.random(position.shape[:2]) < noise.dropout] = np.nan
+    return measured
+
+
+def _unit(shape: tuple[int, ...], noise: Noise, generator: np.random.Generator) -> np.ndarray:
+    """(T, M, 3) noise of unit variance; where values are rounded besides, without the share of that."""
+    if noise.kind == "heavy":
+        return generator.standard_t(HEAVY, shape) * np.sqrt(1.0 - 2.0 / HEAVY)
+    white = generator.standard_normal(shape)
+    match noise.kind:
+        case "white":
+            return white
+        case "growing":
+            course = np.linspace(1.0, GROWTH, len(white))[:, None, None]
+            return white * course / np.sqrt(np.mean(course**2))
+        case "rounded":
+            return np.sqrt(1.0 - noise.share) * white
+        case "correlated":
+            part = np.empty(shape)
+            innovation = generator.standard_normal(shape)
             part[0] = innovation[0]
             for k in range(1, len(part)):
                 part[k] = (
                     noise.correlation * part[k - 1] + np.sqrt(1.0 - noise.correlation**2) * innovation[k]
                 )
-        else:
-            part[:] = innovation
-        white = np.sqrt(1.0 - noise.share) * white + np.sqrt(noise.share) * part
-    measured = position + noise.sigma * white
-    measured[generator.random(position.shape[:2]) < noise.dropout] = np.nan
-    return measured
+        case _:
+            part = generator.standard_normal((len(white), 1, 3))
+    return np.sqrt(1.0 - noise.share) * white + np.sqrt(noise.share) * part

@@ -65,7 +65,7 @@ def _noise(tracks: Tracks) -> float:
     shown = scatter(tracks.position)
     if shown is None or not shown.white.any():
         return tracks.sigma
-    return max(float(np.median(shown.sigma[shown.white])), 1e-3 * tracks.sigma)
+    return max(shown.typical, 1e-3 * tracks.sigma)
 
 
 def _repeated(position: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from mphygs.capture.track_faults.scatter import DEEPER, Scatter, scatter
+from mphygs.capture.track_faults.scatter import Scatter, own_noise, scatter
 from mphygs.capture.track_faults.tracks import Finding, Tracks, listed
 
 FAULT = "noise_level"
@@ -48,7 +48,7 @@ def check(tracks: Tracks) -> Tracks:
     shown = scatter(tracks.position)
     typical, louder = None, False
     if shown is not None and shown.white.mean() > 0.5:
-        typical = float(np.median(shown.sigma[shown.white]))
+        typical = shown.typical
         low, high = np.quantile(shown.least[shown.white], [SOME, 1.0 - SOME])
         louder = typical > LOUDER * stated and stated < low and high < UNEVEN * low
         louder = louder and own_noise(tracks.position) > LOUDER * stated
@@ -77,14 +77,6 @@ def check(tracks: Tracks) -> Tracks:
     text = f"{'; '.join(said)}; sigma is {1e3 * sigma:.3g} mm, stated was {1e3 * stated:.3g} mm"
     finding = Finding(FAULT, text, numbers | {"sigma": sigma, "stated": stated})
     return replace(tracks.found(finding), sigma=sigma, scatter=spread)
-
-
-def own_noise(position: np.ndarray) -> float:
-    """Noise that no marker of tracks (T, M, 3) shares with others [m], zero where they do not tell."""
-    shown = scatter(position, DEEPER)
-    if shown is None or not shown.white.any():
-        return 0.0
-    return float(np.median(shown.sigma[shown.white]))
 
 
 def quantum(position: np.ndarray, sigma: float) -> float:

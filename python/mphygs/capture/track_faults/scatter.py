@@ -1,16 +1,26 @@
-"""How much each marker scatters of its own: what neither the other markers do nor a slow motion.
+"""The noise that tracks show by themselves, whatever was stated of it: all of it, or each marker's own.
 
-A body moves in few ways at once: the singular vectors over time of the other markers hold its motion. What
-they leave of a marker is its noise, and its third differences, which a slow rest of motion hardly has, tell
-how large that is (variance by differences: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986; noise
+Two ways, for two questions. `seen_sigma` tells what no motion does from frame to frame, a frame's common
+jitter included: differences of order k of independent noise of variance s^2 have the variance
+(2k over k) s^2, and of a motion they keep less with every order (Gasser, Sroka and Jennen-Steinmetz,
+Biometrika 73, 1986); two orders that agree have nothing of the motion left.
+
+`scatter` tells what neither the other markers do nor a slow motion, marker by marker. A body moves in few
+ways at once: the singular vectors over time of the other markers hold its motion. What they leave of a marker
+is its noise, and its third differences, which a slow rest of motion hardly has, tell how large that is (noise
 beside a low rank: Gavish and Donoho, IEEE Transactions on Information Theory 60, 2014).
+
+How noise hangs together, over frames or between markers, is shown by points that cannot move alone: see
+`mphygs.compare.rest_noise`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
+from scipy.stats import chi2
 
 ORDER = 3
 # Fewest frames and markers that tell noise from motion; longest stretch of frames that is seen at once.
@@ -22,6 +32,9 @@ GROUPS = 4
 DEEPEST, DEEPER = 3, 2
 # A marker seen less often than this tells nothing.
 SEEN = 0.6
+# Orders of differences that are compared; differences that follow each other in a series, and such series, at
+# least; how well two orders agree, in standard errors.
+ORDERS, IN_A_ROW, SERIES, AGREE = (4, 6), 12, 24, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +54,72 @@ class Scatter:
         return np.minimum(self.sigma, self.whole)
 
     @property
+    def typical(self) -> float:
+        """[m] that of markers of which it is known, zero where there are none."""
+        return float(np.median(self.sigma[self.white])) if self.white.any() else 0.0
+
+    @property
     def white(self) -> np.ndarray:
         """(M,) bool: known, and all that the others leave is new in every frame."""
         with np.errstate(invalid="ignore"):
             return np.isfinite(self.sigma) & (self.sigma > 0.0) & (self.whole < np.sqrt(2.0) * self.sigma)
+
+
+@dataclass(frozen=True)
+class SeenSigma:
+    """value: standard deviation of one coordinate [m]; error: of it, relative."""
+
+    value: float
+    error: float
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom that a variance is known by as well."""
+        return 0.5 / self.error**2
+
+    def differs(self, stated: float) -> bool:
+        """Whether it is another one than was stated."""
+        return bool(abs(np.log(self.value / stated)) > AGREE * self.error)
+
+
+def seen_sigma(position: np.ndarray) -> SeenSigma | None:
+    """The noise of tracks (T, M, 3) [m], NaN where missing; None where too few follow each other, or where
+    motion is left in the differences.
+
+    The median over series, each of a coordinate of a marker, tells it: a few that jump are not the noise of
+    the others.
+    """
+    found, error = [], 0.0
+    for order in ORDERS:
+        differences = np.diff(position, n=order, axis=0)
+        seen = np.isfinite(differences)
+        count = seen.sum(0)
+        enough = count >= IN_A_ROW
+        if enough.sum() < SERIES:
+            return None
+        gain = comb(2 * order, order)
+        squares = np.where(seen, differences, 0.0)[:, enough] ** 2
+        # Differences that share frames are worth fewer independent ones.
+        degrees = count[enough] * gain**2 / comb(4 * order, 2 * order)
+        variance = squares.sum(0) / (gain * count[enough]) * degrees / chi2.median(degrees)
+        found.append(float(np.sqrt(np.median(variance))))
+        error = 0.5 * np.sqrt(0.5 * np.pi * 2.0 / np.median(degrees) / enough.sum())
+    before, after = differences[:-1], differences[1:]
+    both = np.isfinite(before) & np.isfinite(after)
+    before, after = before[both], after[both]
+    together = before @ after / max(np.sqrt(before @ before * (after @ after)), np.finfo(float).tiny)
+    # Of independent noise they are opposed; a shock, which leaves as much in both orders, is less so.
+    if together > -ORDERS[-1] / (ORDERS[-1] + 1) + AGREE * error:
+        return None
+    if not found[-1] > 0.0 or abs(found[0] - found[-1]) > AGREE * error * found[-1]:
+        return None
+    return SeenSigma(found[-1], float(error))
+
+
+def own_noise(position: np.ndarray) -> float:
+    """Noise that no marker of tracks (T, M, 3) shares with others [m], zero where they do not tell."""
+    shown = scatter(position, DEEPER)
+    return 0.0 if shown is None else shown.typical
 
 
 def scatter(position: np.ndarray, times: int = 1) -> Scatter | None:

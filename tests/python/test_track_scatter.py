@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mphygs.capture.track_faults.scatter import seen_sigma
 from mphygs.compare.noise import noise_document, noise_lines, observe
-from mphygs.compare.seen_sigma import seen_sigma
 from mphygs.simulate.prediction import Predictor, Settings
 from test_compare_noise import shaken_bar
 

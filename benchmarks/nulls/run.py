@@ -1,0 +1,147 @@
+"""Captures in which nothing is hidden, with noise of every kind: what `mphygs discover` makes of them.
+
+    python benchmarks/nulls/run.py [--kinds white,heavy] [--seeds 0,1] [--out DIR] [--json]
+
+Nothing may be named, no formula told, and E be within two standard errors. Captures and results are kept in
+the output folder; what is there already is not run again, so an interrupted benchmark goes on where it
+stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from mphygs.command import plain
+from mphygs.model.registry import effects
+from mphygs.synth.make import make_capture
+from mphygs.synth.markers import NOISES, Noise
+from mphygs.synth.recipe import recipe
+
+STANDARD_ERRORS = 2.0
+COLUMNS = (
+    "noise", "of", "adequate", "physics", "faults", "formulas", "E in 2 std", "worst z", "std of E %", "s",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Options:
+    """Discover on captures without any hidden effect."""
+
+    kinds: Annotated[str, tyro.conf.arg(metavar="a,b")] = ",".join(NOISES)
+    """Kinds of noise."""
+    seeds: Annotated[str, tyro.conf.arg(metavar="0,1")] = "0,1"
+    """Seeds of materials, marker places and noise."""
+    shape: str = "bar"
+    """The object."""
+    markers: int = 60
+    """Number of markers."""
+    out: Path = Path("runs/nulls")
+    """Folder for captures and results."""
+    workers: int = os.cpu_count() or 1
+    """Simulations side by side."""
+    json: bool = False
+    """Print one JSON object on standard output, and the rest on standard error."""
+
+
+def run_one(kind: str, seed: int, options: Options) -> dict[str, object]:
+    """Make a capture, discover with default options, and judge. Raises RuntimeError where that fails."""
+    folder = options.out / "captures" / f"{options.shape}-{options.markers}-{kind}-{seed}"
+    if not (folder / "answer.json").is_file():
+        made = recipe(options.shape, seed=seed, noise=Noise(kind), marker_count=options.markers)
+        make_capture(made, folder)
+    truth = json.loads((folder / "answer.json").read_text())["parts"]
+    command = [sys.executable, "-m", "mphygs.discover", str(folder), "--out", f"{folder}-run", "--json"]
+    began = time.perf_counter()
+    done = subprocess.run(
+        [*command, "--workers", str(options.workers)], capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise RuntimeError(done.stderr.strip().splitlines()[-1])
+    return judged(json.loads(done.stdout), truth) | {
+        "kind": kind, "seed": seed, "seconds": time.perf_counter() - began,
+    }  # fmt: skip
+
+
+def judged(found: Mapping[str, object], truth: Mapping[str, Mapping[str, float]]) -> dict[str, object]:
+    """What was concluded, and how far every E is off. truth: by part, as of answer.json."""
+    missing = found["missing_force"]
+    told = found["steps"][-1]["parameters"]
+    deviations, errors = {}, {}
+    for part, material in truth.items():
+        entry = told[f"{part}.youngs_modulus"]
+        deviations[part] = (entry["value"] - material["E"]) / entry["std"]
+        errors[part] = entry["std"] / entry["value"]
+    return {
+        "verdict": found["verdict"],
+        "physics": [n for n in found["effects"] if effects()[n].kind != "measurement"],
+        "faults": [n for n in found["effects"] if effects()[n].kind == "measurement"],
+        "formula": None if missing is None else missing.get("formula"),
+        "z": deviations,
+        "relative_std": errors,
+    }
+
+
+def rows(records: Sequence[Mapping[str, object]]) -> list[str]:
+    """The table: a line for each kind of noise, and one for all."""
+    lines = [COLUMNS]
+    kinds = list(dict.fromkeys(str(r["kind"]) for r in records))
+    for name, kept in [*((k, [r for r in records if r["kind"] == k]) for k in kinds), ("all", records)]:
+        z = [abs(value) for r in kept for value in r["z"].values()]
+        std = [value for r in kept for value in r["relative_std"].values()]
+        cells = [len(kept), sum(r["verdict"] == "adequate" for r in kept)]
+        cells += [sum(bool(r[key]) for r in kept) for key in ("physics", "faults", "formula")]
+        cells += [f"{sum(v <= STANDARD_ERRORS for v in z)} of {len(z)}", f"{max(z):.2f}"]
+        cells += [f"{100.0 * np.median(std):.2g}", f"{np.median([r['seconds'] for r in kept]):.0f}"]
+        lines.append((name, *map(str, cells)))
+    head, *body = (f"| {' | '.join(line)} |" for line in lines)
+    return [head, "|" + " --- |" * len(COLUMNS), *body]
+
+
+def main() -> int:
+    """Run, print, and keep everything in the output folder."""
+    options = tyro.cli(Options, config=(tyro.conf.FlagCreatePairsOff,))
+    kinds = [k.strip() for k in options.kinds.split(",")]
+    if unknown := [k for k in kinds if k not in NOISES]:
+        print(f"--kinds: '{unknown[0]}'; expected some of {', '.join(NOISES)}", file=sys.stderr)
+        return 2
+    results = options.out / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    records = []
+    for seed in (int(s) for s in options.seeds.split(",")):
+        for kind in kinds:
+            path = results / f"{options.shape}-{options.markers}-{kind}-{seed}.json"
+            if not path.is_file():
+                try:
+                    entry = plain(run_one(kind, seed, options))
+                except RuntimeError as error:
+                    print(f"{kind}, seed {seed}: {error}", file=sys.stderr, flush=True)
+                    continue
+                partial = path.with_suffix(".part")
+                partial.write_text(json.dumps(entry, indent=1) + "\n")
+                partial.replace(path)
+            records.append(json.loads(path.read_text()))
+            entry = records[-1]
+            named = ", ".join([*entry["physics"], *entry["faults"]]) or "none"
+            z = ", ".join(f"{value:.2f}" for value in entry["z"].values())
+            print(f"{kind}, seed {seed}: {entry['verdict']}; {named}; z {z}", file=sys.stderr, flush=True)
+    if not records:
+        return 1
+    print("\n".join(rows(records)), file=sys.stderr if options.json else sys.stdout)
+    if options.json:
+        print(json.dumps({"records": records}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
