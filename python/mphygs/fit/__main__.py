@@ -282,6 +282,8 @@ def _text(state: Run, capture: Capture, embedded: bool) -> str:
 def check_options(options: FitOptions) -> None:
     """Options that can be judged without the capture."""
     check_gain(options.feedback)
+    if options.feedback is not None and options.transfer != "total-lagrangian":
+        raise OptionError(f"--feedback: not with --transfer {options.transfer}; expected total-lagrangian")
     known = effects()
     for name in names(options.effects):
         if name not in known:
