@@ -17,6 +17,7 @@ from any_document import SCRIPT, SETTINGS, mutations, one_line
 from command_example import SPACING, answer, call, make_capture
 from mphygs import discover, view
 from mphygs.claim import is_written
+from mphygs.command import plain
 from mphygs.compare import __main__ as compare
 from mphygs.diagnose import __main__ as diagnose
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
@@ -76,6 +77,30 @@ def test_every_finding_is_known_as_written_here(folders: Folders) -> None:
 
 def document(path: Path) -> dict:
     return json.loads(path.read_text())
+
+
+def unknown(named: dict) -> dict:
+    """The same numbers as they are written where none of them is known."""
+    return plain(dict.fromkeys(named, np.inf))
+
+
+def test_standard_errors_that_nobody_knows_are_written_and_read(folders: Folders, tmp_path: Path) -> None:
+    diagnosis, steps, so_far = map(document, (folders.diagnosis, folders.steps, folders.so_far))
+    for entry in diagnosis["ranking"]:
+        entry["std"] = unknown(entry["std"])
+    for number in steps["steps"][-1]["parameters"].values():
+        number["std"] = plain(np.inf)
+    found = read_diagnosis(put(folders.diagnosis, diagnosis, tmp_path))
+    assert found is not None and page(replace(folders.plain, diagnosis=found))
+    grown = read_steps(put(folders.steps, steps, tmp_path))
+    assert grown is not None and page(replace(folders.grown, steps=grown))
+    state = so_far["rankings"][0]
+    assert any(entry["std"] for entry in state["entries"])
+    for entry in state["entries"]:
+        entry["std"] = unknown(entry["std"])
+    kept = read_kept(put(folders.so_far, so_far, tmp_path))
+    entries = restored_ranking(kept["rankings"][0]).entries
+    assert {std for entry in entries for std in entry.std.values()} == {np.inf}
 
 
 def put(path: Path, content: dict, where: Path) -> Path:

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from mphygs.capture.written import replace_file
 from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.step import Step
@@ -117,7 +119,11 @@ def state_of_ranking(ranking: Ranking) -> dict[str, object]:
 def restored_ranking(state: Mapping) -> Ranking:
     """The ranking of a state, as far as that tells it."""
     entries = [
-        Entry(**{key: given[key] for key in _RANKED}, start=belief_from_document(given["start"]))
+        Entry(
+            **{key: given[key] for key in _RANKED if key != "std"},
+            std={name: np.inf if std is None else std for name, std in given["std"].items()},
+            start=belief_from_document(given["start"]),
+        )
         for given in state["entries"]
     ]
     return Ranking(tuple(entries), state["chi_square"], state["rows"], None)

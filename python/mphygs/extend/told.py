@@ -76,9 +76,11 @@ def _row(entry: Entry) -> None:
         number(entry["gain_se"])
 
 
+# A standard error, null where none is known.
+_STD = maybe(size)
 _ERROR = record({"rms": size, "max": size, "rms_over_sigma": size, "count": count})
 _PARAMETER = record(
-    {"value": number, "std": size, "unit": sentence, "determined": Entry.flag},
+    {"value": number, "std": _STD, "unit": sentence, "determined": Entry.flag},
     {"note": sentence, "interval": many(number, least=2, most=2)},
 )
 _TOLD = {
@@ -115,7 +117,7 @@ _MORE = {
     "expected_rms": number,
     "way": sentence,
     "refitted": maybe(number),
-    "std": by_name(number),
+    "std": by_name(_STD),
     "reason": sentence,
     "detectable": by_name(number),
     "where": many(_SPOT),
@@ -181,7 +183,7 @@ _RANKING = record(
                     "p_value": number,
                     "expected_ratio": number,
                     "estimate": by_name(number),
-                    "std": by_name(number),
+                    "std": by_name(_STD),
                     "start": _belief,
                 }
             )
