@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,28 +15,27 @@ import tyro
 from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
-from mphygs.compare.image_errors import image_table, joined
-from mphygs.compare.noise import noise_document, noise_lines
+from mphygs.fit.answer import answer_of, answer_text
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.first_frames import starts_document, starts_text
+from mphygs.fit.first_frames import starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.marker_labels import well_labelled
-from mphygs.fit.of_run import capture_of, errors_of, feedback_document, pictured_of
+from mphygs.fit.of_run import capture_of, feedback_document
 from mphygs.fit.one_sided import coarser_change, limits_of, with_bounds, with_limits
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
-from mphygs.fit.profile import Interval, intervals
+from mphygs.fit.profile import intervals
 from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.schedule import check_spacing, default_spacing
-from mphygs.fit.sensitivity import WHY, sensitivity_lines, sensitivity_of
+from mphygs.fit.sensitivity import sensitivity_of
 from mphygs.fit.start import starting_belief
-from mphygs.fit.tables import FAR, errors_text, feedback_lines, parameters_of, parameters_text, table
+from mphygs.fit.tables import FAR, parameters_of
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.in_use import hold
 from mphygs.model.registry import USUAL_LAW, effects, laws
-from mphygs.model.substances import SUBSTANCES, like
+from mphygs.model.substances import SUBSTANCES
 from mphygs.simulate.settings import Settings, available_cores, check_effects
 from mphygs.simulate.timeline import MOST_SUBSTEPS
 
@@ -111,7 +110,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def fit(options: FitOptions, console: Console) -> Answer:
     """Fit, write the run folder, and say what was found and what to run next."""
     state, capture = fitted(options, console)
-    return Answer(dict(state.answer), _text(state, capture, options.capture is None and not options.resume))
+    embedded = options.capture is None and not options.resume
+    return Answer(dict(state.answer), answer_text(state, capture, embedded=embedded))
 
 
 def fitted(
@@ -174,7 +174,8 @@ def fitted(
         change = coarser_change(state, experiment, evaluation)
         limits = limits_of(problem, state.belief, evaluation, change)
         state = with_limits(state, limits, parameters_of(state))
-    answer = _answer(state, experiment, console, found)
+    stages = None if state.stages is None else kept_seconds(state.stages)
+    answer = answer_of(state, experiment, found, stages=stages, report=console.say)
     answer["parameters"] = with_bounds(answer["parameters"], limits)
     if evaluation is not None:
         answer["sensitivity"] = sensitivity_of(problem, state.belief, evaluation)
@@ -200,83 +201,6 @@ def _check_duration(experiment: Experiment, state: Run) -> None:
                 f"sequence '{name}': {seconds:.3g} s of motion are {count:.1g} substeps; expected at most "
                 f"{MOST_SUBSTEPS:.0e} (is fps {predictor.recording.fps:g} right?), or fewer --frames"
             )
-
-
-def _answer(
-    state: Run, experiment: Experiment, console: Console, found: Mapping[str, Interval]
-) -> dict[str, object]:
-    """The JSON of a finished fit."""
-    spacing = state.settings.spacing
-    compared = experiment.compare(state.belief, spacing, jacobian=False, report=console.say)
-    errors = errors_of(experiment, compared)
-    pictured = pictured_of(state, experiment)
-    drawn = {} if pictured is None else pictured.errors(state.belief, report=console.say)
-    if drawn:
-        errors = joined(errors, drawn)
-    predictors = {name: experiment.predictor(name, spacing) for name in state.ranges}
-    substep = {name: p.stable_substep(state.belief) for name, p in predictors.items()}
-    problem = experiment.problem(spacing)
-    more = {} if state.stages is None else {"stages": kept_seconds(state.stages)}
-    if starts := starts_document(experiment.capture, state.belief):
-        more["starts"] = starts
-    parameters = parameters_of(state, found)
-    return more | {
-        "run": str(state.folder),
-        "parameters": parameters,
-        "like": {key: like(e["value"]) for key, e in parameters.items() if key.endswith(".youngs_modulus")},
-        "seconds": sum(stage.seconds for stage in state.history),
-        "substeps": problem.evaluate(state.belief, jacobian=False).substeps,
-        "substep": substep,
-        "spacing": spacing,
-        "transfer": state.transfer,
-        "noise": noise_document(experiment.observations),
-        "sequences": {
-            name: {label: ranges[label] for label in ("fit", "predict")} for name, ranges in errors.items()
-        },
-    }
-
-
-def _boundary_lines(capture: Capture) -> list[str]:
-    """What pictures say of materials, where they leave the parts' boundaries unsure."""
-    unsure = max(part.boundary for part in capture.parts)
-    if unsure == 0:
-        return []
-    return [
-        f"boundaries of parts are known to {1e3 * unsure:.2g} mm and better, which the standard errors have: "
-        "of thin parts E times the third power of the thickness is known better",
-    ]
-
-
-def _text(state: Run, capture: Capture, embedded: bool) -> str:
-    answer = state.answer
-    lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
-    lines[-1:] = [*noise_lines(answer.get("noise", {})), ""]
-    if answer.get("feedback"):
-        lines += feedback_lines(answer["feedback"])
-    if answer.get("like"):
-        told = [f"{key.rsplit('.', 1)[0]} {words}" for key, words in answer["like"].items()]
-        lines[1:1] = ["by its stiffness: " + ", ".join(told)]
-    if answer.get("sensitivity"):
-        lines += [WHY, table(sensitivity_lines(answer["sensitivity"], answer["parameters"])), ""]
-    if state.stages is not None:
-        lines[-1:] = ["", table(image_table(answer["sequences"])), ""]
-        lines[1:1] = _boundary_lines(capture)
-    steps = ", ".join(f"{1e6 * dt:.0f} us on {name}" for name, dt in answer["substep"].items())
-    lines.append(
-        f"{answer['seconds']:.1f} s; {answer['substeps']} substeps in one pass over these frames ({steps})"
-    )
-    folder = shlex.quote(str(state.folder))
-    if state.options.get("plugin"):
-        folder += f" --plugin {shlex.quote(str(state.options['plugin']))}"
-    lines += ["", "next:"]
-    lines.append(
-        f"  mphygs compare {folder}     where and when it fails, and whether that is more than noise"
-    )
-    lines.append(f"  mphygs diagnose {folder}    which physical effect is missing")
-    if embedded:
-        lines.append(f"  mphygs extend {folder} viscosity    add that effect and see the error fall")
-    lines.append(f"  mphygs report {folder}      all of it as one page")
-    return "\n".join(lines)
 
 
 def check_options(options: FitOptions) -> None:
