@@ -78,11 +78,12 @@ def test_points_of_colmap_come_first_when_they_are_enough(photographs: list[Phot
     draw = np.random.default_rng(0)
     ball = draw.normal(size=(300, 3))
     inside = 0.02 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [0.03, 0, 0.005]
-    points = ColmapPoints(np.concatenate([inside, inside + 0.05]), draw.uniform(size=(600, 3)))
+    places = np.concatenate([inside, inside + 0.05])
+    points = ColmapPoints(places, draw.uniform(size=(600, 3)), np.arange(600))
     positions, colours = first_points(photographs, points, resolution=24)
     np.testing.assert_array_equal(positions, inside)
     np.testing.assert_array_equal(colours, points.colours[:300])
-    few = ColmapPoints(inside[:50], points.colours[:50])
+    few = ColmapPoints(inside[:50], points.colours[:50], points.numbers[:50])
     assert len(first_points(photographs, few, resolution=24)[0]) != 50
 
 

@@ -23,7 +23,7 @@ def points_within_masks(photographs: Sequence[Photograph], points: ColmapPoints)
     """Those of a COLMAP model's points that every view having them in its picture shows within its mask."""
     within, seen = silhouette_votes(photographs, points.positions)
     kept = (within == seen) & (seen >= 2)
-    return ColmapPoints(points.positions[kept], points.colours[kept])
+    return ColmapPoints(points.positions[kept], points.colours[kept], points.numbers[kept])
 
 
 def first_points(
