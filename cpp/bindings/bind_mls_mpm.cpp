@@ -81,23 +81,26 @@ void bind(py::module_& m, const char* name) {
              },
              py::arg("fields"), py::arg("iterations") = 60)
         .def("simulate",
-             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress) {
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress,
+                const py::object& observer) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
+                 const std::optional<Observer> o = to_observer(observer);
                  ParticleTrajectory<T> t;
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.simulate(f, s, p);
+                     t = self.simulate(f, s, p, o ? &*o : nullptr);
                  }
                  return particle_arrays(std::move(t), self.particle_count());
              },
-             py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none())
+             py::arg("fields"), py::arg("schedule"), py::arg("progress") = py::none(), py::arg("observer") = py::none())
         .def("tangent",
              [](const Model& self, const py::dict& fields, const py::list& directions, const py::dict& schedule,
-                const py::object& progress) {
+                const py::object& progress, const py::object& observer) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
+                 const std::optional<Observer> o = to_observer(observer);
                  std::vector<Fields<T>> d;
                  for (const auto& item : directions) {
                      d.push_back(to_fields<T>(item.cast<py::dict>()));
@@ -106,7 +109,7 @@ void bind(py::module_& m, const char* name) {
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.tangent(f, d, s, p);
+                     t = self.tangent(f, d, s, p, o ? &*o : nullptr);
                  }
                  py::list out;
                  for (auto& x : t) {
@@ -114,27 +117,32 @@ void bind(py::module_& m, const char* name) {
                  }
                  return out;
              },
-             py::arg("fields"), py::arg("directions"), py::arg("schedule"), py::arg("progress") = py::none())
+             py::arg("fields"), py::arg("directions"), py::arg("schedule"), py::arg("progress") = py::none(),
+             py::arg("observer") = py::none())
         .def("adjoint",
-             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::tuple& bar, const py::object& progress) {
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::tuple& bar, const py::object& progress,
+                const py::object& observer) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
+                 const std::optional<Observer> o = to_observer(observer);
                  const ParticleTrajectory<T> b = to_particle_trajectory<T>(bar);
                  Fields<T> g;
                  long recomputed = 0;
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     g = self.adjoint(f, s, b, p, &recomputed);
+                     g = self.adjoint(f, s, b, p, &recomputed, o ? &*o : nullptr);
                  }
                  return py::make_tuple(fields_dict(std::move(g)), recomputed);
              },
-             py::arg("fields"), py::arg("schedule"), py::arg("bar"), py::arg("progress") = py::none(),
+             py::arg("fields"), py::arg("schedule"), py::arg("bar"), py::arg("progress") = py::none(), py::arg("observer") = py::none(),
              "bar: (position, velocity, deformation) derivatives of the loss, None where absent.")
         .def("gradient",
-             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::function& loss, const py::object& progress) {
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::function& loss, const py::object& progress,
+                const py::object& observer) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
+                 const std::optional<Observer> o = to_observer(observer);
                  const auto call = [&](const ParticleTrajectory<T>& t) {
                      py::gil_scoped_acquire acquire;
                      ParticleTrajectory<T> copy = t;
@@ -145,11 +153,11 @@ void bind(py::module_& m, const char* name) {
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     g = self.gradient(f, s, call, p, &recomputed);
+                     g = self.gradient(f, s, call, p, &recomputed, o ? &*o : nullptr);
                  }
                  return py::make_tuple(fields_dict(std::move(g)), recomputed);
              },
-             py::arg("fields"), py::arg("schedule"), py::arg("loss"), py::arg("progress") = py::none(),
+             py::arg("fields"), py::arg("schedule"), py::arg("loss"), py::arg("progress") = py::none(), py::arg("observer") = py::none(),
              "loss(position, velocity, deformation) returns its derivatives, None where absent; one forward run less than "
              "simulate and adjoint.");
 }

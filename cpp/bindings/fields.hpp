@@ -121,13 +121,14 @@ inline std::optional<mphygs::Observer> to_observer(const py::object& given) {
     }
     const py::dict d = given.cast<py::dict>();
     reject_unknown(d,
-                   {"row_begin", "row_carrier", "row_weight", "reach_begin", "reach_channel", "reach_weight", "stiffness", "damping",
-                    "share"},
+                   {"row_begin", "row_carrier", "row_weight", "reach_row", "reach_begin", "reach_channel", "reach_weight", "stiffness",
+                    "damping", "share"},
                    "observer");
     mphygs::Observer o;
     o.row_begin = entry<std::int32_t>(d, "row_begin");
     o.row_carrier = entry<std::int32_t>(d, "row_carrier");
     o.row_weight = entry<double>(d, "row_weight");
+    o.reach_row = entry<std::int32_t>(d, "reach_row");
     o.reach_begin = entry<std::int32_t>(d, "reach_begin");
     o.reach_channel = entry<std::int32_t>(d, "reach_channel");
     o.reach_weight = entry<double>(d, "reach_weight");

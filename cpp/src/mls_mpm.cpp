@@ -45,17 +45,20 @@ std::vector<ParticleTrajectory<T>> roll(const MlsMpm<T>& model, const Inputs<T, 
 }  // namespace
 
 template <class T>
-ParticleTrajectory<T> MlsMpm<T>::simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress) const {
-    check(fields, schedule);
+ParticleTrajectory<T> MlsMpm<T>::simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress,
+                                          const Observer* observer) const {
+    check(fields, schedule, observer);
     Inputs<T, 0> inputs;
     inputs.primal = &fields;
+    inputs.observer = observer;
     return std::move(roll<T, 0>(*this, inputs, 0, schedule, progress)[0]);
 }
 
 template <class T>
 std::vector<ParticleTrajectory<T>> MlsMpm<T>::tangent(const Fields<T>& fields, const std::vector<Fields<T>>& directions,
-                                                      const Schedule& schedule, const Progress& progress) const {
-    check(fields, schedule);
+                                                      const Schedule& schedule, const Progress& progress,
+                                                      const Observer* observer) const {
+    check(fields, schedule, observer);
     Fields<T> value = fields;
     for (Fields<T> d : directions) {
         for (std::size_t i = 0; i < Fields<T>::count; ++i) {
@@ -70,6 +73,7 @@ std::vector<ParticleTrajectory<T>> MlsMpm<T>::tangent(const Fields<T>& fields, c
     const auto batch = [&]<int K>(std::integral_constant<int, K>) {
         Inputs<T, K> inputs;
         inputs.primal = &fields;
+        inputs.observer = observer;
         const std::size_t wanted = std::min<std::size_t>(K, directions.size() - done);
         for (std::size_t k = 0; k < wanted; ++k) {
             inputs.direction[k] = &directions[done + k];
@@ -88,16 +92,17 @@ std::vector<ParticleTrajectory<T>> MlsMpm<T>::tangent(const Fields<T>& fields, c
         }
     }
     if (result.empty()) {
-        result.push_back(simulate(fields, schedule, progress));
+        result.push_back(simulate(fields, schedule, progress, observer));
     }
     return result;
 }
 
-template ParticleTrajectory<float> MlsMpm<float>::simulate(const Fields<float>&, const Schedule&, const Progress&) const;
-template ParticleTrajectory<double> MlsMpm<double>::simulate(const Fields<double>&, const Schedule&, const Progress&) const;
-template std::vector<ParticleTrajectory<float>> MlsMpm<float>::tangent(const Fields<float>&, const std::vector<Fields<float>>&,
-                                                                       const Schedule&, const Progress&) const;
-template std::vector<ParticleTrajectory<double>> MlsMpm<double>::tangent(const Fields<double>&, const std::vector<Fields<double>>&,
-                                                                         const Schedule&, const Progress&) const;
+#define MPHYGS_INSTANTIATE(T)                                                                                                     \
+    template ParticleTrajectory<T> MlsMpm<T>::simulate(const Fields<T>&, const Schedule&, const Progress&, const Observer*) const; \
+    template std::vector<ParticleTrajectory<T>> MlsMpm<T>::tangent(const Fields<T>&, const std::vector<Fields<T>>&, const Schedule&, \
+                                                                   const Progress&, const Observer*) const;
+MPHYGS_INSTANTIATE(float)
+MPHYGS_INSTANTIATE(double)
+#undef MPHYGS_INSTANTIATE
 
 }  // namespace mphygs

@@ -97,7 +97,7 @@ MlsMpm<T>::MlsMpm(MlsGeometry geometry, MlsSettings settings) : geometry_(std::m
 }
 
 template <class T>
-void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s) const {
+void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s, const Observer* observer) const {
     const auto size = [](const std::vector<T>& v, std::size_t n, bool optional, const char* name) {
         require((optional && v.empty()) || v.size() == n,
                 std::string(name) + " has " + std::to_string(v.size()) + " numbers, expected " + std::to_string(n));
@@ -124,7 +124,10 @@ void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s) const {
     size(f.node_force, 3 * count * frames, true, "node_force");
     size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
          geometry_.hold_count == 0, "pose");
-    require(f.target.empty(), "target: feedback from targets needs the total-Lagrangian transfer");
+    require(observer || f.target.empty(), "the fields have a target but there is no observer");
+    if (observer) {
+        observer->check(count, frames, f.target.size());
+    }
 }
 
 template class MlsMpm<float>;

@@ -14,7 +14,7 @@ std::array<double, 2> MlsMpm<T>::largest_rates(const Fields<T>& fields, int iter
     const MlsMpm<T> model(std::move(geometry), settings_);
     Fields<T> value = fields;
     std::fill(value.gravity.begin(), value.gravity.end(), T{});
-    for (std::vector<T>* absent : {&value.displacement0, &value.velocity0, &value.node_force, &value.pose}) {
+    for (std::vector<T>* absent : {&value.displacement0, &value.velocity0, &value.node_force, &value.pose, &value.target}) {
         absent->clear();
     }
     Schedule schedule;

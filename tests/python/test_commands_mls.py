@@ -48,6 +48,18 @@ def test_predict_and_compare_simulate_as_the_fit_did(fitted: dict) -> None:
     assert predicted["swing"]["substeps"] > 100
 
 
+def test_fit_and_compare_tell_the_error_under_feedback_beside_the_free_one(fitted: dict) -> None:
+    out = fitted["folder"] / "under"
+    options = ["--transfer", "mls", "--spacing", COARSE, "--feedback"]
+    given = answer(fit, fitted["capture"], "--out", out, *options)
+    compared = answer(compare, out, "--feedback", "0.5")
+    for document, gain, ranges in ((given, 1.0, "predict"), (compared, 0.5, "all")):
+        assert document["feedback"]["gain"] == gain
+        for name, free in document["sequences"].items():
+            pulled = document["feedback"]["sequences"][name][ranges]["rms"]
+            assert 0.0 < pulled < free[ranges]["rms"]
+
+
 def test_diagnose_ranks_what_the_transfer_can_have(fitted: dict) -> None:
     found = answer(diagnose, fitted["run"], "--effects", "mass_damping,viscosity,gravity")
     assert {entry["effect"] for entry in found["ranking"]} == {"mass_damping", "viscosity", "gravity"}

@@ -20,6 +20,7 @@ from mphygs.simulate.prediction import Predictor, Settings
 SPACING, FRAMES, FPS = 0.01, 20, 80.0
 SETTINGS = Settings(SPACING, workers=1, dtype="float64")
 FREE = ("part0.youngs_modulus", "part1.youngs_modulus")
+BOTH = pytest.mark.parametrize("transfer", ["total-lagrangian", "mls"])
 
 
 @cache
@@ -35,16 +36,18 @@ def scene(dtype: str = "float64", transfer: str = "total-lagrangian") -> tuple[P
     return Experiment.of(made, settings).problem(SPACING), truth
 
 
-def test_a_model_that_lacks_something_stays_near_the_measurement() -> None:
-    problem, truth = scene()
+@BOTH
+def test_a_model_that_lacks_something_stays_near_the_measurement(transfer: str) -> None:
+    problem, truth = scene(transfer=transfer)
     wrong = truth.with_parameter(FREE[0], value=1e5)
     free = problem.evaluate(wrong, jacobian=False).misfit
     misfits = [problem.under(g).evaluate(wrong, jacobian=False).misfit for g in (0.1, 1.0)]
     assert free > 10.0 and misfits[1] < misfits[0] < free and misfits[1] < 0.3 * free
 
 
-def test_no_gain_is_a_free_run() -> None:
-    problem, truth = scene()
+@BOTH
+def test_no_gain_is_a_free_run(transfer: str) -> None:
+    problem, truth = scene(transfer=transfer)
     again = problem.under(1.0).under(0.0)
     free, same = (p.evaluate(truth, jacobian=False).residual for p in (problem, again))
     assert np.array_equal(free, same)
@@ -53,13 +56,14 @@ def test_no_gain_is_a_free_run() -> None:
             problem.under(gain).evaluate(truth, jacobian=False)
 
 
-def test_a_pull_of_no_gain_is_a_free_run_to_the_bit_in_the_core() -> None:
-    problem, truth = scene()
+@BOTH
+def test_a_pull_of_no_gain_is_a_free_run_to_the_bit_in_the_core(transfer: str) -> None:
+    problem, truth = scene(transfer=transfer)
     wrong = truth.with_parameter(FREE[0], value=1e5)
 
     def seen(gain: float | None) -> np.ndarray:
         # A predictor of its own: nothing is kept from another run.
-        predictor = Predictor(problem.capture, problem.capture.sequence("a"), SETTINGS)
+        predictor = Predictor(problem.capture, problem.capture.sequence("a"), problem.settings)
         timeline = predictor.timeline(wrong, FRAMES, predictor.stable_substep(wrong))
         fields, observer = predictor.inputs(wrong, timeline), None
         if gain is not None:
@@ -73,8 +77,9 @@ def test_a_pull_of_no_gain_is_a_free_run_to_the_bit_in_the_core() -> None:
     assert np.array_equal(free, seen(0.0)) and np.abs(free - seen(1.0)).max() > 1e-4
 
 
-def test_jacobians_under_feedback_follow_differences() -> None:
-    problem, truth = scene()
+@BOTH
+def test_jacobians_under_feedback_follow_differences(transfer: str) -> None:
+    problem, truth = scene(transfer=transfer)
     belief = (
         truth.with_effect("viscosity", {"eta": 3.0}).with_effect("length_scale").with_effect("frame_drift")
     )
@@ -173,8 +178,9 @@ def test_rows_of_markers_that_stand_off_are_what_is_observed() -> None:
     assert np.allclose(feedback.rows @ (places @ slope), feedback.rest @ slope, atol=1e-12)
 
 
-def test_rows_are_the_markers() -> None:
-    problem, _ = scene()
+@BOTH
+def test_rows_are_the_markers(transfer: str) -> None:
+    problem, _ = scene(transfer=transfer)
     predictor = problem.predictors["a"]
     feedback = predictor.pulled_by(problem.observations["a"].position, 1.0)
     places = predictor.transfer.places_at_rest()
@@ -215,12 +221,6 @@ def test_what_a_fault_shows_is_pulled_to_where_it_truly_was(effect: str, values:
     feedback = predictor.pulled_by(shown, 1.0)
     assert np.abs(feedback.target(truth, timeline) - clean).max() > 1e-3
     assert np.allclose(feedback.target(faulty, timeline), clean, atol=1e-12)
-
-
-def test_mls_mpm_refuses_feedback_in_one_line() -> None:
-    problem, truth = scene(transfer="mls")
-    with pytest.raises(ValueError, match="does not run in MLS-MPM; expected the total-Lagrangian"):
-        problem.under(1.0).evaluate(truth, jacobian=False)
 
 
 def test_the_option_stands_with_a_number_and_without() -> None:

@@ -200,10 +200,63 @@ def test_what_does_not_fit_is_named() -> None:
         rollout(model, fields, SCHEDULE, observer=far)
 
 
-def test_mls_mpm_has_no_observer() -> None:
-    capture = bar_capture(lengths=(0.02,), side=0.02)
-    belief = bar_belief(capture, youngs_modulus=6e4)
-    settings = Settings(0.012, dtype="float64", transfer="mls")
-    model = Predictor(capture, capture.sequence("a"), settings).model_of(belief)
-    with pytest.raises(ValueError, match="does not run in MLS-MPM; expected the total-Lagrangian transfer"):
-        rollout(model, {}, SCHEDULE, observer=observer_of(8))
+def particles(dtype: str = "float64", budget: int = ROOMY) -> Scene:
+    """The same bar as particles of MLS-MPM. A block of eight is pulled alike, the last one not at all."""
+    capture = bar_capture(lengths=(0.02, 0.016), side=0.02)
+    belief = bar_belief(capture, youngs_modulus=(6e4, 3e4), density=(1100.0, 900.0))
+    belief = belief.with_effect("viscosity", {"eta": 3.0})
+    settings = Settings(0.012, dtype=dtype, memory_budget=budget, transfer="mls")
+    predictor = Predictor(capture, capture.sequence("a"), settings)
+    random, count = np.random.default_rng(0), len(predictor.transfer.places_at_rest())
+    fields = primal(belief, predictor.body)
+    fields["velocity0"] = 0.1 * random.standard_normal((count, 3))
+    pose = np.zeros((1, STEPS.sum() + 1, 12))
+    pose[..., [0, 4, 8]] = 1.0
+    fields["pose"] = pose
+    fields["target"] = 2e-3 * random.standard_normal((len(STEPS), CHANNELS, 4, 3))
+    tensors = {name: torch.tensor(np.asarray(value, settings.number)) for name, value in fields.items()}
+    row = np.arange(count, dtype=np.int32) // 8
+    alike = observer_of(row[-1])
+    read = np.random.default_rng(2).integers(0, count, len(alike.row_carrier)).astype(np.int32)
+    observer = replace(alike, row_carrier=read, reach_row=np.where(row == row[-1], -1, row).astype(np.int32))
+    return predictor.model_of(belief), tensors, observer
+
+
+@pytest.mark.parametrize("budget", [ROOMY, TIGHT], ids=["roomy", "tight"])
+def test_gradcheck_on_particles(budget: int) -> None:
+    model, fields, observer = particles(budget=budget)
+    names = ("mu", "mass", "velocity0", "target")
+
+    def run(scales: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        moved = {name: fields[name] * (1.0 + scales[k]) for k, name in enumerate(names)}
+        x, v, f = rollout(model, fields | moved, SCHEDULE, observer=observer)
+        return 1e3 * x, v, f
+
+    scales = torch.zeros(len(names), dtype=torch.float64, requires_grad=True)
+    gradient = torch.autograd.grad(sum(x.pow(2).sum() for x in run(scales)), scales)[0]
+    assert (gradient.abs() > 1e-9).all(), "a field that moves nothing would pass unseen"
+    assert gradcheck(run, (scales,), check_forward_ad=True, fast_mode=True, **CHECK)
+
+
+def test_particles_in_many_lanes_in_float32_and_in_gaps() -> None:
+    model, fields, observer = particles()
+
+    def tip(scale: torch.Tensor) -> torch.Tensor:
+        moved = fields | {"mu": fields["mu"] * scale[0], "target": fields["target"] * scale[1:, None, None]}
+        return rollout(model, moved, SCHEDULE, observer=observer)[0][-1, :3]
+
+    at = torch.ones(1 + CHANNELS, dtype=torch.float64)
+    forward, reverse = torch.func.jacfwd(tip)(at), torch.autograd.functional.jacobian(tip, at)
+    assert (forward.abs().amax((0, 1)) > 0).all()
+    torch.testing.assert_close(forward, reverse, rtol=1e-8, atol=1e-15)
+    narrow, single, _ = particles("float32")
+    pulled = rollout(model, fields, SCHEDULE, observer=observer)
+    torch.testing.assert_close(
+        rollout(narrow, single, SCHEDULE, observer=observer)[1].double(), pulled[1], rtol=0.0, atol=1e-4
+    )
+    free = rollout(model, {n: t for n, t in fields.items() if n != "target"}, SCHEDULE)
+    blind = replace(observer, share=np.zeros_like(observer.share))
+    for one, same, other in zip(free, rollout(model, fields, SCHEDULE, observer=blind), pulled, strict=True):
+        assert torch.equal(one, same) and float((one - other).abs().max()) > 1e-6
+    with pytest.raises(ValueError, match="observer: reach_row names a row out of range"):
+        rollout(model, fields, SCHEDULE, observer=replace(observer, reach_row=observer.reach_row + 2))

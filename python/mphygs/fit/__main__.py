@@ -206,8 +206,6 @@ def _check_duration(experiment: Experiment, state: Run) -> None:
 def check_options(options: FitOptions) -> None:
     """Options that can be judged without the capture."""
     check_gain(options.feedback)
-    if options.feedback is not None and options.transfer != "total-lagrangian":
-        raise OptionError(f"--feedback: not with --transfer {options.transfer}; expected total-lagrangian")
     known = effects()
     for name in names(options.effects):
         if name not in known:

@@ -20,7 +20,6 @@ Progress = Callable[[int], bool] | None
 Apart = tuple[list[str], np.ndarray]
 
 _MLS = (_core.MlsMpmFloat32, _core.MlsMpmFloat64)
-NO_OBSERVER = "feedback from the measurement does not run in MLS-MPM; expected the total-Lagrangian transfer"
 NO_HOOK = "effects in Python do not run in MLS-MPM; expected the total-Lagrangian transfer"
 
 
@@ -40,11 +39,9 @@ def state_size(model: object) -> int:
     return 3 if is_mls(model) else 2
 
 
-def _plain(hook: object | None, observer: Observer | None) -> None:
+def _plain(hook: object | None) -> None:
     if hook is not None:
         raise ValueError(NO_HOOK)
-    if observer is not None:
-        raise ValueError(NO_OBSERVER)
 
 
 def _given(observer: Observer | None) -> dict[str, object] | None:
@@ -61,8 +58,8 @@ def simulate(
 ) -> tuple[np.ndarray, ...]:
     """The trajectory. Raises SimulationError where it is unstable, ValueError for sizes that disagree."""
     if is_mls(model):
-        _plain(hook, observer)
-        return tuple(model.simulate(fields, schedule, progress))
+        _plain(hook)
+        return tuple(model.simulate(fields, schedule, progress, _given(observer)))
     return tuple(model.simulate(fields, schedule, progress, hook, _given(observer)))
 
 
@@ -82,8 +79,9 @@ def tangent(
     total-Lagrangian transfer.
     """
     if is_mls(model):
-        _plain(hook, observer)
-        return [tuple(t) for t in model.tangent(fields, list(directions), schedule, progress)]
+        _plain(hook)
+        runs = model.tangent(fields, list(directions), schedule, progress, _given(observer))
+        return [tuple(t) for t in runs]
     given = (progress, hook, list(apart), _given(observer))
     return [tuple(t) for t in model.tangent(fields, list(directions), schedule, *given)]
 
@@ -98,8 +96,8 @@ def adjoint(
 ) -> dict[str, np.ndarray]:
     """Gradient by every field of a loss whose derivatives by the trajectory are given, None for none."""
     if is_mls(model):
-        _plain(hook, observer)
-        return model.adjoint(fields, schedule, tuple(bars), None)[0]
+        _plain(hook)
+        return model.adjoint(fields, schedule, tuple(bars), None, _given(observer))[0]
     empty = np.zeros(0, number_of(model))
     displacement, velocity = (empty if bar is None else bar for bar in bars)
     return model.adjoint(fields, schedule, displacement, velocity, None, hook, _given(observer))[0]

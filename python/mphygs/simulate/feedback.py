@@ -40,7 +40,8 @@ class Feedback:
 
     gain: 0 (none) to 1 (a memory of 2 / fps), it scales the acceleration; position: (T, M, 3) measured [m],
     NaN where it is not; rest: (M, 3) markers at rest [m]; free: (M,) markers that the material carries and
-    that were seen; rows: sparse (channels, carriers); reach: sparse (carriers, channels), or in blocks.
+    that were seen; rows: sparse (channels, carriers); reach: sparse (carriers, channels), or in blocks; row:
+    (carriers,) which row of reach each has, -1 for none, where several have one.
     """
 
     recording: Recording
@@ -50,6 +51,8 @@ class Feedback:
     free: np.ndarray
     rows: csr_matrix = field(repr=False)
     reach: csr_matrix | bsr_matrix = field(repr=False)
+    row: np.ndarray | None = field(repr=False, default=None)
+    _last: dict = field(repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.gain <= 1.0:
@@ -68,7 +71,7 @@ class Feedback:
         """Feedback of a recording. transfer: whose carriers are pulled; position: (T, M, 3) [m], NaN where a
         marker was not seen or is left out.
 
-        Raises ValueError where the gain is not between 0 and 1, or the transfer has no feedback.
+        Raises ValueError where the gain is not between 0 and 1.
         """
         a = carriers.attachment
         rest = a.anchor + a.offset
@@ -85,7 +88,7 @@ class Feedback:
         begin = np.repeat(np.arange(count), index.shape[1])
         shape = (count, len(transfer.places_at_rest()))
         rows = csr_matrix((value.ravel(), (begin, index.ravel())), shape=shape)
-        return cls(recording, gain, position, rest, free, rows, transfer.spread(rows, rest[free]))
+        return cls(recording, gain, position, rest, free, rows, *transfer.spread(rows, rest[free]))
 
     def scaled(self, gain: float) -> Feedback:
         """The same with another gain."""
@@ -109,6 +112,7 @@ class Feedback:
             stiffness=self.omega**2,
             damping=2.0 * DAMPING_RATIO * self.omega,
             share=self._share(timeline),
+            reach_row=np.asarray([] if self.row is None else self.row, np.int32),
         )
         return full.scaled(self.gain)
 
@@ -122,24 +126,39 @@ class Feedback:
     def target(self, belief: Belief, timeline: Timeline) -> np.ndarray:
         """(F, channels, 4, 3) where the markers are wanted, as displacements [m]: cubic polynomials in the
         share of each interval; faults of the measurement that the belief has are taken off."""
+        asked = self._asked(belief, timeline)
+        known = self._last.get("asked", (np.empty(0),) * len(asked))
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(known, asked, strict=True)):
+            self._last.update(asked=asked, target=self._splines(*asked))
+        return self._last["target"]
+
+    def _asked(self, belief: Belief, timeline: Timeline) -> tuple[np.ndarray, ...]:
+        """What `_splines` takes."""
         position = unmeasured(belief, np.arange(len(self.position)) / self.recording.fps, self.position)
         late = timeline.clock[0] - timeline.frames[0] / self.recording.fps if len(timeline.clock) else 0.0
+        return position, np.asarray(late), timeline.times, timeline.spans
+
+    def _splines(
+        self, position: np.ndarray, late: np.ndarray, times: np.ndarray, spans: np.ndarray
+    ) -> np.ndarray:
+        """`target` of markers (T, M, 3) [m] in frames that were taken `late` [s], for intervals (F,) that end
+        at `times` and last `spans` [s]."""
         clock = np.arange(len(position)) / self.recording.fps + late
-        begin = timeline.times - timeline.spans
+        begin = times - spans
         out = np.zeros((len(begin), int(self.free.sum()), 4, 3))
         if not len(begin):
             return out
         displaced = position[:, self.free] - self.rest[self.free]
         seen = np.isfinite(displaced).all(-1)
-        spans = timeline.spans[:, None, None]
+        lasting = spans[:, None, None]
         patterns, kind = np.unique(seen, axis=1, return_inverse=True)
         for k, pattern in enumerate(patterns.T):
             own = np.flatnonzero(kind.ravel() == k)
             spline = CubicSpline(clock[pattern], displaced[pattern][:, own])
             start, end = clock[pattern][0], clock[pattern][-1]
-            a, b = np.clip(begin, start, end), np.clip(timeline.times, start, end)
+            a, b = np.clip(begin, start, end), np.clip(times, start, end)
             p0, p1 = spline(a), spline(b)
-            m0, m1 = spline(a, 1) * spans, spline(b, 1) * spans
+            m0, m1 = spline(a, 1) * lasting, spline(b, 1) * lasting
             pieces = (p0, m0, 3.0 * (p1 - p0) - 2.0 * m0 - m1, 2.0 * (p0 - p1) + m0 + m1)
             out[:, own] = np.stack(pieces, axis=2)
         return out
@@ -152,7 +171,8 @@ class Feedback:
             belief.with_parameter(parameter.key, value=parameter.value + sign * step, **wide)
             for sign in (1.0, -1.0)
         ]
-        ahead, behind = (self.target(b, _at_clock_of(b, timeline, self.recording.fps)) for b in ends)
+        moved = (self._asked(b, _at_clock_of(b, timeline, self.recording.fps)) for b in ends)
+        ahead, behind = (self._splines(*asked) for asked in moved)
         return (ahead - behind) / (2.0 * step) * parameter.slope
 
 

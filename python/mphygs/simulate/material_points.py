@@ -18,6 +18,7 @@ from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.particle_body import ParticleBody
+from mphygs.simulate.spread import on_particles
 from mphygs.simulate.transfer import Start, Transfer
 
 # Particles that carry one marker together: about those within 0.85 of a spacing.
@@ -84,8 +85,18 @@ class MaterialPoints(Transfer):
     def places_at_rest(self) -> np.ndarray:
         return self.body.geometry["points"]
 
-    def spread(self, rows: csr_matrix, markers: np.ndarray) -> csr_matrix | bsr_matrix:
-        raise ValueError(core_runs.NO_OBSERVER)
+    def spread(
+        self, rows: csr_matrix, markers: np.ndarray
+    ) -> tuple[csr_matrix | bsr_matrix, np.ndarray | None]:
+        points, volumes = self.body.geometry["points"], self.body.quadrature.volumes.ravel()
+        node, value, _ = self._on_grid
+        begin = np.arange(0, node.size + 1, node.shape[1])
+        shape = (len(points), self._grid_model.node_count)
+        weights = csr_matrix((value.ravel(), node.ravel(), begin), shape=shape)
+        particles = (points, volumes, LANES * self.body.free_block_count)
+        return on_particles(
+            self._grid_model, self.grid_body, weights, rows, markers, particles, self.settings.spacing
+        )
 
     def load_share(self, load: Load) -> np.ndarray:
         inside, share = self.body.inside(load.box)
@@ -133,8 +144,13 @@ class MaterialPoints(Transfer):
     def _on_grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nodes of the grid that each particle is between, their weights and those of the gradient."""
         grid, geometry = self.grid_body, self.body.geometry
-        model = _core.TotalLagrangianFloat64(grid.geometry, {"active": [], "law": "neo-hookean"})
-        return model.weights(geometry["points"], grid.nearest_cell(geometry["points"], geometry["part"]))
+        cells = grid.nearest_cell(geometry["points"], geometry["part"])
+        return self._grid_model.weights(geometry["points"], cells)
+
+    @cached_property
+    def _grid_model(self) -> object:
+        """A model that knows the nodes of the grid and their weights."""
+        return _core.TotalLagrangianFloat64(self.grid_body.geometry, {"active": [], "law": "neo-hookean"})
 
     def begun(self, fields: dict[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
         deformation = start.gradient + np.eye(3)

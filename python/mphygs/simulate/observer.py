@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,9 +13,11 @@ class Observer:
     the targets y are a field, `target`, of the run.
 
     row_begin: (M + 1,), row_carrier, row_weight: the carriers of each of M channels and their weights w [-];
-    reach_begin: (N + 1,), reach_channel, reach_weight: the channels that pull each of N carriers, and G [-];
-    stiffness: omega^2 [1/s^2]; damping: 2 zeta omega [1/s]; share: (F, M) of every output interval, 0 in
-    gaps. Source: Luenberger, "Observing the state of a linear system", 1964.
+    reach_begin: (N + 1,), reach_channel, reach_weight: the channels that pull each of N carriers, and G [-],
+    a number each or 3 x 3; reach_row: (N,) row of these of each carrier where several are pulled alike, -1
+    where one is not pulled, empty: its own; stiffness: omega^2 [1/s^2]; damping: 2 zeta omega [1/s]; share:
+    (F, M) of every output interval, 0 in gaps. Source: Luenberger, "Observing the state of a linear system",
+    1964.
     """
 
     row_begin: np.ndarray
@@ -27,6 +29,7 @@ class Observer:
     stiffness: float
     damping: float
     share: np.ndarray
+    reach_row: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
 
     def scaled(self, gain: float) -> Observer:
         """The same with all accelerations of e times `gain`, the damping ratio kept."""

@@ -269,8 +269,8 @@ def rollout_windows(
     `workers`, to the bit.
 
     Raises ValueError for an unknown field, another precision, a wrong size, a target without an observer or
-    an observer without its target, effects in Python or an observer with MLS-MPM, SimulationError for an
-    unstable run, NotImplementedError for second derivatives.
+    an observer without its target, effects in Python with MLS-MPM, SimulationError for an unstable run,
+    NotImplementedError for second derivatives.
     """
     if not windows:
         raise ValueError("rollout_windows: expected at least one window")
@@ -278,8 +278,6 @@ def rollout_windows(
         raise ValueError(f"workers = {workers}: expected at least 1")
     if user is not None and core_runs.is_mls(model):
         raise ValueError(core_runs.NO_HOOK)
-    if any(window.observer is not None for window in windows) and core_runs.is_mls(model):
-        raise ValueError(core_runs.NO_OBSERVER)
     dtype = torch.float32 if core_runs.number_of(model) is np.float32 else torch.float64
     tensors: list[Tensor] = []
 

@@ -16,7 +16,7 @@ from mphygs.simulate.body import Attachment, Body, core_model, with_places
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.observer import Observer
-from mphygs.simulate.spread import spread
+from mphygs.simulate.spread import on_nodes
 from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
@@ -57,8 +57,10 @@ class TotalLagrangian(Transfer):
     def places_at_rest(self) -> np.ndarray:
         return self._plain().node_positions
 
-    def spread(self, rows: csr_matrix, markers: np.ndarray) -> csr_matrix | bsr_matrix:
-        return spread(self._plain(), self.body, rows, markers, self.settings.spacing)
+    def spread(
+        self, rows: csr_matrix, markers: np.ndarray
+    ) -> tuple[csr_matrix | bsr_matrix, np.ndarray | None]:
+        return on_nodes(self._plain(), self.body, rows, markers, self.settings.spacing), None
 
     def load_share(self, load: Load) -> np.ndarray:
         q, model = self.body.quadrature, self._plain()

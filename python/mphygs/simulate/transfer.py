@@ -85,11 +85,13 @@ class Transfer(ABC):
         """(N, 3) of the carriers [m]."""
 
     @abstractmethod
-    def spread(self, rows: csr_matrix, markers: np.ndarray) -> csr_matrix | bsr_matrix:
-        """Accelerations of the carriers, (N, M) or in blocks (3 N, 3 M), for those that markers ask for.
+    def spread(
+        self, rows: csr_matrix, markers: np.ndarray
+    ) -> tuple[csr_matrix | bsr_matrix, np.ndarray | None]:
+        """Accelerations of the carriers, (N, M) or in blocks (3 N, 3 M), for those that markers ask for; and
+        (N,) which row of them each carrier has, -1 for none, where several have one.
 
-        rows: (M, N) by which they follow the carriers; markers: (M, 3) at rest [m]. Raises ValueError where
-        the transfer has no feedback.
+        rows: (M, N) by which they follow the carriers; markers: (M, 3) at rest [m].
         """
 
     @abstractmethod

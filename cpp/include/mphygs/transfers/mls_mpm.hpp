@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "mphygs/model.hpp"
+#include "mphygs/observer.hpp"
 #include "mphygs/registry.hpp"
 
 namespace mphygs {
@@ -80,34 +81,39 @@ class MlsMpm {
     /// Threads that share a run from now on; not to be changed while one is under way.
     void set_threads(int threads) { settings_.threads = threads; }
 
-    ParticleTrajectory<T> simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress = {}) const;
+    /// observer: feedback to the fields' target, or nullptr.
+    ParticleTrajectory<T> simulate(const Fields<T>& fields, const Schedule& schedule, const Progress& progress = {},
+                                   const Observer* observer = nullptr) const;
 
     /// The trajectory and its derivative in each direction (directions may leave fields empty).
     std::vector<ParticleTrajectory<T>> tangent(const Fields<T>& fields, const std::vector<Fields<T>>& directions,
-                                               const Schedule& schedule, const Progress& progress = {}) const;
+                                               const Schedule& schedule, const Progress& progress = {},
+                                               const Observer* observer = nullptr) const;
 
     /// Gradient of a loss whose derivatives by the trajectory are given (members may be empty);
     /// checkpointed. velocity0 has a gradient where it is given. `recomputed` returns the number of substeps computed again.
     Fields<T> adjoint(const Fields<T>& fields, const Schedule& schedule, const ParticleTrajectory<T>& bar,
-                      const Progress& progress = {}, long* recomputed = nullptr) const;
+                      const Progress& progress = {}, long* recomputed = nullptr, const Observer* observer = nullptr) const;
 
     /// The same where the loss is only known once the trajectory is: one forward run less.
     using Loss = std::function<ParticleTrajectory<T>(const ParticleTrajectory<T>&)>;
     Fields<T> gradient(const Fields<T>& fields, const Schedule& schedule, const Loss& loss, const Progress& progress = {},
-                       long* recomputed = nullptr) const;
+                       long* recomputed = nullptr, const Observer* observer = nullptr) const;
 
     /// Largest squared natural frequency [1/s^2] and largest damping rate [1/s] of the grid
     /// linearised at rest, by power iteration: symplectic Euler needs dt < 2/omega and dt < 2/rate.
     std::array<double, 2> largest_rates(const Fields<T>& fields, int iterations = 60) const;
 
     /// Checks the sizes of all inputs; std::invalid_argument names the one that is wrong.
-    void check(const Fields<T>& fields, const Schedule& schedule) const;
+    void check(const Fields<T>& fields, const Schedule& schedule, const Observer* observer = nullptr) const;
 
   private:
     template <class U, int K>
     friend class MlsParticles;
     template <class U, int K>
     friend class MlsMpmRun;
+    template <class U, int K>
+    friend class MlsPulls;
     template <class U>
     friend class MlsStepReverse;
     template <class U>

@@ -120,6 +120,12 @@ class MlsMpmReverse : public MlsStepReverse<T> {
         // The real scatter, with C_0 from the last of them.
         c_bar_.assign(9 * size, T{});
         run_.forces_.refresh(0);
+        const bool pulled = run_.pulls_ && run_.pulls_->enter(0);
+        if (pulled) {
+            run_.follow(record.order);
+            run_.pulls_->see_start(record.moving.data(), run_.start_velocity_);
+            run_.pulls_->spread(*run_.team_);
+        }
         clear_sums();
         start_tiles(record, [&](std::size_t c, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
             if (!grid.empty()) {
@@ -134,6 +140,10 @@ class MlsMpmReverse : public MlsStepReverse<T> {
             reverse_given(c, t, *record.order, points, no_history.data(), bars);
         });
         add_sums(0);
+        if (pulled) {
+            run_.pulls_->reverse(given_bar_, target_bar_);
+            run_.pulls_->unsee_start(bars_.data(), v_bar_);
+        }
         for (int round = run_.start_rounds() - 1; round >= 0; --round) {
             // C of the next round was gathered from this grid ...
             const MlsState<T> here{record.order, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
@@ -268,14 +278,15 @@ class MlsMpmReverse : public MlsStepReverse<T> {
         }
         out.node_force = forces_.node_force_bar;
         out.pose = narrow(pose_bar_);
+        out.target = narrow(target_bar_);
         return out;
     }
 
     using Steps::add_seeds, Steps::add_slope, Steps::add_sums, Steps::bar_, Steps::bar_grid_, Steps::bar_order_, Steps::bars_;
-    using Steps::clear_sums, Steps::fields_, Steps::flush, Steps::forces_, Steps::gravity_bar_, Steps::grid_bar, Steps::grids_;
+    using Steps::clear_sums, Steps::fields_, Steps::flush, Steps::forces_, Steps::given_bar_, Steps::gravity_bar_, Steps::grid_bar, Steps::grids_;
     using Steps::inside, Steps::lambda_, Steps::mass_, Steps::model_, Steps::mu_, Steps::own_mass_, Steps::parameter_bar_;
     using Steps::particles_, Steps::pose_bar_, Steps::reverse_given, Steps::reverse_step, Steps::run_, Steps::table_;
-    using Steps::volume_;
+    using Steps::target_bar_, Steps::volume_;
 
     ParticleTrajectory<T> trajectory_;
     bool keep_ = false;

@@ -6,11 +6,13 @@
 #pragma once
 
 #include <algorithm>
+#include <optional>
 
 #include "mphygs/team.hpp"
 #include "mphygs/transfers/mls_mpm_grids.hpp"
 #include "mphygs/transfers/mls_mpm_particles.hpp"
 #include "mphygs/transfers/mls_mpm_plain.hpp"
+#include "mphygs/transfers/mls_mpm_pulls.hpp"
 
 namespace mphygs {
 
@@ -25,6 +27,9 @@ class MlsMpmRun : public MlsParticles<T, K> {
     MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule, Team& team)
         : Particles(model, inputs, schedule), team_(&team), forces_(model, inputs_, table_), grids_(model.chunk_count_, lanes) {
         start_velocity_ = velocity_;
+        if (inputs.observer) {
+            pulls_.emplace(model, inputs_, schedule, table_);
+        }
     }
 
     /// From the initial particles to state 0.
@@ -51,6 +56,11 @@ class MlsMpmRun : public MlsParticles<T, K> {
     void start_round(const Box& box, bool improve, bool real) {
         if (real) {
             forces_.refresh(0);
+            if (pulls_ && pulls_->enter(0)) {
+                follow(state_.order);
+                pulls_->see_start(state_.moving.data(), start_velocity_);
+                pulls_->spread(*team_);
+            }
         }
         grids_.prepare(box, state_.ranges);
         team_->each(model_.chunk_count_, [&](int c) { start_chunk(static_cast<std::size_t>(c), box, improve, real); });
@@ -86,6 +96,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
         }
         const Box next = reach();
         if (forces) {
+            look(n, state_.order, from_->data(), state_.grid.data(), state_.box);
             forces_.refresh(n + 1);
             grids_.prepare(next, state_.ranges);
         }
@@ -105,6 +116,15 @@ class MlsMpmRun : public MlsParticles<T, K> {
         }
         if (output) {
             stop_if_not_finite(table_.frame_of_state(n + 1), table_.time[static_cast<std::size_t>(n)] + static_cast<double>(h));
+        }
+    }
+
+    /// Finds what the observer gives at n + 1, from the state at n.
+    void look(int n, const std::shared_ptr<const MlsOrder<T>>& order, const T* moving, const T* grid, const Box& box) {
+        if (pulls_ && pulls_->enter(n + 1)) {
+            follow(order);
+            pulls_->see(moving, grid, box, static_cast<T>(table_.dt[static_cast<std::size_t>(n)]));
+            pulls_->spread(*team_);
         }
     }
 
@@ -174,9 +194,30 @@ class MlsMpmRun : public MlsParticles<T, K> {
         Vec3<S> momentum;
         Mat3<S> affine;
         forces_.evaluate(*state_.order, p, point, history, momentum, affine);
+        pull(*state_.order, p, momentum);
         tile.set_q(pack, momentum);
         tile.set_n(pack, constant<S>(static_cast<T>(model_.geometry_.spacing)) * affine);
         tile.set_mass(pack, forces_.fixed(*state_.order, fixed_mass, p));
+    }
+
+    bool pulling() const { return pulls_ && pulls_->pulling(); }
+    void follow(const std::shared_ptr<const MlsOrder<T>>& order) {
+        pulls_->follow(order, static_cast<std::size_t>(model_.chunk_count_), [this](std::size_t c) { return chunk_begin(c); });
+    }
+    /// Adds what the observer gives to eight particles.
+    void pull(const MlsOrder<T>& order, std::size_t first, Vec3<S>& momentum) const {
+        if (pulling()) {
+            momentum = momentum + forces_.fixed(order, fixed_mass, first) * pulls_->given(first);
+        }
+    }
+    /// The same for a hot tile.
+    void pull_tile(MlsTile<T, 0>& tile, std::size_t first) const {
+        for (std::size_t c = 0; pulling() && c < 3; ++c) {
+            const T* given = pulls_->values(first, c);
+            for (std::size_t p = 0; p < tile_size; ++p) {
+                tile.q[0][c][p] += tile.mass[0][p] * given[p];
+            }
+        }
     }
 
     ParticlePoint<S> load_start(std::size_t p) const {
@@ -278,6 +319,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
                                                                 *state_.order, model_.axis_, next, then, seen_wide);
                     failed_[c] = failed_[c] < 0 ? failed : failed_[c];
                     if (forces) {
+                        pull_tile(tile, t);
                         forces_.each_held_of_tile(*state_.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
                             for (std::size_t a = 0; a < 3; ++a) {
                                 give_held(tile, p - t, hold, id, a, state_.moving[slot_of(a, moving_numbers, p)]);
@@ -338,6 +380,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
 
     Team* team_;
     MlsForces<T, K> forces_;
+    std::optional<MlsPulls<T, K>> pulls_;
     const Buffer<T>* from_ = nullptr;               // what moves, before the pass
     std::vector<T> start_velocity_, start_affine_;  // (lanes, 3 or 9, size)
     MlsGrids<T> grids_;

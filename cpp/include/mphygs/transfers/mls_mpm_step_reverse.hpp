@@ -17,8 +17,8 @@ class MlsStepReverse {
     using Run = MlsMpmRun<T, 0>;
     using P = Pack<T>;
 
-    MlsStepReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule, Team& team)
-        : model_(model), fields_(fields), run_(model, inputs_of(fields), schedule, team), table_(run_.table()),
+    MlsStepReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule, const Observer* observer, Team& team)
+        : model_(model), fields_(fields), run_(model, inputs_of(fields, observer), schedule, team), table_(run_.table()),
           forces_(run_.forces_, fields), particles_(model.padded_), sums_(static_cast<std::size_t>(model.chunk_count_)),
           grids_(model.chunk_count_, 1) {
         const std::size_t n = model.padded_, count = model.particle_count();
@@ -29,12 +29,15 @@ class MlsStepReverse {
         }
         parameter_bar_.assign(static_cast<std::size_t>(Registry::parameter_count), 0.0);
         pose_bar_.assign(fields.pose.size(), 0.0);
+        target_bar_.assign(fields.target.size(), 0.0);
+        given_bar_.assign(observer ? 3 * n : 0, T{});
     }
 
   protected:
-    static Inputs<T, 0> inputs_of(const Fields<T>& fields) {
+    static Inputs<T, 0> inputs_of(const Fields<T>& fields, const Observer* observer) {
         Inputs<T, 0> inputs;
         inputs.primal = &fields;
+        inputs.observer = observer;
         return inputs;
     }
 
@@ -105,6 +108,7 @@ class MlsStepReverse {
         follow(record.order);
         const bool forces = n + 1 < table_.count();
         if (forces) {
+            run_.look(n, record.order, record.moving.data(), record.grid.data(), record.box);
             run_.forces_.refresh(n + 1);
             clear_sums();
         }
@@ -113,6 +117,11 @@ class MlsStepReverse {
         run_.team_->each(model_.chunk_count_, [&](int c) { reverse_chunk(static_cast<std::size_t>(c), n, record, forces); });
         if (forces) {
             add_sums(n + 1);
+        }
+        if (forces && run_.pulling()) {
+            run_.pulls_->reverse(given_bar_, target_bar_);
+            run_.pulls_->unsee(record.moving.data(), record.grid.data(), record.box, static_cast<T>(table_.dt[static_cast<std::size_t>(n)]),
+                               run_.inverse_spacing_, bars_.data(), [&](std::size_t c) { return grids_.private_grid(c); });
         }
         grid_bar(record);
     }
@@ -174,6 +183,7 @@ class MlsStepReverse {
             Vec3<P> momentum;
             Mat3<P> affine;
             run_.forces_.evaluate(order, p, points[k], run_.state_.history.data(), momentum, affine);
+            run_.pull(order, p, momentum);
             tile.set_q(k, momentum);
             tile.set_n(k, broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * affine);
             tile.set_mass(k, run_.forces_.fixed(order, fixed_mass, p));
@@ -186,8 +196,16 @@ class MlsStepReverse {
             g.affine = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * given.get_n(k);
             g.mass = given.get_mass(k);
             add_slope(slope, k, bars[k].x);
-            forces_.reverse(order, t + static_cast<std::size_t>(k * lane_count), points[k], history, g, history_bar_.data(), bars[k],
-                            particles_, sums_[c]);
+            const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+            forces_.reverse(order, p, points[k], history, g, history_bar_.data(), bars[k], particles_, sums_[c]);
+            if (run_.pulling()) {
+                const P mass = run_.forces_.fixed(order, fixed_mass, p);
+                T* mass_bar = particles_.at(fixed_mass, p);
+                store<T>(mass_bar, load<T>(mass_bar) + dot(g.momentum, run_.pulls_->given(p)));
+                for (std::size_t a = 0; a < 3; ++a) {
+                    store<T>(&given_bar_[a * order.size + p], mass * g.momentum[static_cast<int>(a)]);
+                }
+            }
         }
     }
 
@@ -206,6 +224,7 @@ class MlsStepReverse {
                 run_.stand_tile(plain.took, *record.order, record.moving, record.box, t, limits);
                 gather_rows<T>(plain.took, record.grid.data(), model_.axis_, record.box);
                 plain_given<T>(plain, record.moving.data(), t, pass, *record.order, model_.axis_, bar_box_, inside(bar_box_, bar_ranges_[c]));
+                run_.pull_tile(plain.given, t);
                 const auto moved = [&](std::size_t p, std::size_t a) {
                     return record.moving[slot_of(a, moving_numbers, p)] + h * plain.velocity[a][p - t];  // u
                 };
@@ -217,6 +236,14 @@ class MlsStepReverse {
                 reverse_scatter_rows<T>(plain.given, bar_grid_.data(), model_.axis_, bar_box_, plain.bars, plain.slope);
                 plain_bars<T>(plain, record.moving.data(), bars_.data(), particles_.fixed.data(), t, pass, *record.order, model_.axis_,
                               gravity_bar);
+                for (std::size_t a = 0; run_.pulling() && a < 3; ++a) {
+                    const T* given = run_.pulls_->values(t, a);
+                    for (std::size_t p = 0; p < tile_size; ++p) {
+                        const T bar = plain.bars.q[0][a][p];
+                        given_bar_[a * size + t + p] = plain.given.mass[0][p] * bar;
+                        *particles_.at(fixed_mass, t + p) += bar * given[p];
+                    }
+                }
                 run_.forces_.each_held_of_tile(*record.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
                     for (std::size_t a = 0; a < 3; ++a) {  // the hold's velocity stood in place of the particle's
                         const T bar = plain.bars.q[0][a][p - t], velocity_bar = plain.given.mass[0][p - t] * bar;
@@ -323,6 +350,8 @@ class MlsStepReverse {
     Box bar_box_;
     std::vector<CellRange> bar_ranges_;
     std::vector<double> mu_, lambda_, volume_, mass_, own_mass_, parameter_bar_, pose_bar_;  // by the caller's number
+    std::vector<double> target_bar_;
+    std::vector<T> given_bar_;  // (3, size) of what the observer gave, where there is one
     double gravity_bar_[3] = {0, 0, 0};
 };
 

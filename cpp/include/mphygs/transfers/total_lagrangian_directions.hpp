@@ -72,10 +72,16 @@ class TotalLagrangianDirections {
         place_forces(time);
         hook_forces(time, dt);
         known_forces(frame);
-        observe(n, frame, dt);
+        const bool pulls = value_.ask(n, frame, dt);
+        if (pulls) {
+            ask(n, frame, dt);
+            spread_pulls(dt);
+        }
         accelerate(time, dt);
-        pull(dt);
-        value_.step(n, frame, time, dt);
+        if (pulls) {
+            add_pulls();
+        }
+        value_.step(n, frame, time, dt, true);
         lighten(dt);
         hold(n, dt);
         const T h = static_cast<T>(dt);
@@ -225,77 +231,76 @@ class TotalLagrangianDirections {
     void hook_forces(double time, double dt);
 
     /// What the observer's channels ask for in all directions, at the start of a substep [m/s^2].
-    void observe(int n, int frame, double dt) {
-        if (!observer_) {
-            return;
-        }
+    void ask(int n, int frame, double dt) {
         const Observer& o = *observer_;
         const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
-        const TargetBasis basis = value_.target_basis(n, frame, dt);
-        const bool aimed = any(&Fields<T>::target);
-        const T stiffness = static_cast<T>(o.stiffness), damping = static_cast<T>(o.damping);
-        wanted_.assign(slabs_ * 3 * count, W{});
-        // Rows are linear: one pass over them does for place and rate.
-        blend_.resize(u_.size());
-        for (std::size_t i = 0; i < u_.size(); ++i) {
-            blend_[i] = stiffness * u_[i] + damping * v_[i];
+        if (frame != aimed_) {
+            aimed_ = frame;
+            aims_.clear();
+            for (std::size_t s = 0; s < slabs_ && any(&Fields<T>::target); ++s) {
+                for (std::size_t i = 0; i < 12 * count; ++i) {
+                    aims_.push_back(lanes(&Fields<T>::target, s, 12 * from + i));
+                }
+            }
         }
-        T factor[4];
-        for (std::size_t k = 0; k < 4; ++k) {
-            factor[k] = stiffness * static_cast<T>(basis.value[k]) + damping * static_cast<T>(basis.rate[k]);
-        }
+        const ObserverRows<T>& rows = *value_.observer_;
+        const auto factors = rows.factors(value_.target_basis(n, frame, dt));
+        const std::vector<std::size_t>& read = rows.read_carriers();
+        blend_.resize(3 * read.size());
+        asked_.resize(slabs_ * 3 * count);
         for (std::size_t s = 0; s < slabs_; ++s) {
+            // Rows are linear: one pass over them does for place and rate.
+            for (std::size_t k = 0; k < read.size(); ++k) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    const std::size_t i = s * slab_ + 3 * read[k] + c;
+                    blend_[3 * k + c] = rows.stiffness() * u_[i] + rows.damping() * v_[i];
+                }
+            }
             for (std::size_t i = 0; i < count; ++i) {
                 const T share = static_cast<T>(o.share[from + i]);
-                if (share == T{}) {
-                    continue;
-                }
                 W asked[3] = {};
-                for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
-                    const std::size_t at_row = static_cast<std::size_t>(r);
-                    const std::size_t node = s * slab_ + 3 * static_cast<std::size_t>(o.row_carrier[at_row]);
-                    const T weight = static_cast<T>(o.row_weight[at_row]);
+                rows.each_row(i, [&](std::size_t at, T weight) {
                     for (std::size_t c = 0; c < 3; ++c) {
-                        asked[c] -= weight * blend_[node + c];
+                        asked[c] -= weight * blend_[3 * at + c];
                     }
-                }
+                });
                 for (std::size_t c = 0; c < 3; ++c) {
-                    for (std::size_t k = 0; aimed && k < 4; ++k) {
-                        asked[c] += factor[k] * lanes(&Fields<T>::target, s, ((from + i) * 4 + k) * 3 + c);
+                    for (std::size_t k = 0; !aims_.empty() && k < 4; ++k) {
+                        asked[c] += factors[k] * aims_[((s * count + i) * 4 + k) * 3 + c];
                     }
-                    wanted_[(s * count + i) * 3 + c] = share * asked[c];
+                    asked_[(s * count + i) * 3 + c] = share * asked[c];
                 }
             }
         }
     }
 
-    void pull(double dt) {
-        if (!observer_) {
-            return;
-        }
-        const Observer& o = *observer_;
-        const std::size_t count = o.channel_count(), size = o.reach_size();
-        const T h = static_cast<T>(dt);
-        for (std::size_t n = 0; n < model_.node_count(); ++n) {
-            if (value_.inverse_mass_[n] == T{}) {
-                continue;
+    /// dt G (what the channels ask for), of the values and of all directions.
+    void spread_pulls(double dt) {
+        constexpr std::size_t quad = ObserverRows<T>::quad;
+        const std::size_t count = observer_->channel_count();
+        columns_.resize(directions_.size() * quad * count);
+        pulled_.resize(directions_.size() * slab_);
+        std::vector<const T*> asked;
+        std::vector<T*> pulled;
+        for (std::size_t k = 0; k < directions_.size(); ++k) {
+            T* column = &columns_[k * quad * count];
+            const W* from = &asked_[k / width * 3 * count];
+            for (std::size_t i = 0; i < 3 * count; ++i) {
+                column[i / 3 * quad + i % 3] = from[i][k % width];
             }
-            for (std::int32_t r = o.reach_begin[n]; r < o.reach_begin[n + 1]; ++r) {
-                const std::size_t at_row = static_cast<std::size_t>(r);
-                const std::size_t channel = 3 * static_cast<std::size_t>(o.reach_channel[at_row]);
-                const double* g = &o.reach_weight[size * at_row];
-                for (std::size_t s = 0; s < slabs_; ++s) {
-                    W* v = &v_[s * slab_ + 3 * n];
-                    const W* asked = &wanted_[3 * s * count + channel];
-                    for (std::size_t c = 0; c < 3; ++c) {
-                        if (size == 1) {
-                            v[c] += h * static_cast<T>(g[0]) * asked[c];
-                            continue;
-                        }
-                        for (std::size_t k = 0; k < 3; ++k) {
-                            v[c] += h * static_cast<T>(g[3 * c + k]) * asked[k];
-                        }
-                    }
+            asked.push_back(column);
+            pulled.push_back(&pulled_[k * slab_]);
+        }
+        value_.spread_pulls(dt, asked, pulled);
+    }
+
+    void add_pulls() {
+        for (std::size_t k = 0; k < directions_.size(); ++k) {
+            T* to = reinterpret_cast<T*>(&v_[k / width * slab_]) + k % width;
+            for (std::size_t c = 0; c < 3; ++c) {
+                const T* from = &pulled_[k * slab_ + c * stride_];
+                for (std::size_t n = 0; n < model_.node_count(); ++n) {
+                    to[(3 * n + c) * width] += from[n];
                 }
             }
         }
@@ -422,8 +427,11 @@ class TotalLagrangianDirections {
     TotalLagrangianRun<T, 0> value_;
     bool rate_ = false, surface_ = false, volume_added_ = false;
     std::vector<W> u_, v_, f_;                          // slab, node, component
-    std::vector<W> wanted_;                             // by the observer: slab, channel, component [m/s^2]
-    std::vector<W> blend_;                              // stiffness u + damping v of the nodes, for the observer
+    int aimed_ = -1;                                    // output interval whose targets are in aims_
+    std::vector<W> aims_;                               // slab, channel, power, component; empty where no direction has any
+    std::vector<W> blend_;                              // stiffness u + damping v of what channels read, (carriers, 3)
+    std::vector<W> asked_;                              // slab, channel, component [m/s^2]
+    std::vector<T> columns_, pulled_;                   // of each direction: asked_ as ObserverRows has it; what it makes of it
     std::vector<W> gravity_;                            // slab, component
     std::vector<D> parameters_, uniforms_;              // slab, number
     std::vector<W> mu_, lambda_, volume_, mass_points_;  // slab, point; empty where no direction changes it

@@ -134,7 +134,10 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             }
             gravity_bar_[c] += gravity;
         }
-        const std::vector<double> asked = asked_bar(dt);
+        pulled_ = run_.observer_ && run_.observer_->pulls(index(frame));
+        if (pulled_) {
+            run_.observer_->pull_bar(h, vbar_.data(), asked_bar_);
+        }
         all_uniforms(model_.slots_, run_.parameters_.data(), static_cast<T>(time), h, run_.plain_uniforms_.data());
         for (std::size_t i = 0; i < run_.uniforms_.size(); ++i) {
             run_.uniforms_[i] = broadcast<T>(run_.plain_uniforms_[i]);
@@ -168,58 +171,22 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             }
         }
         reverse_uniforms(time, dt);
-        reverse_observer(n, frame, dt, asked);
-    }
-
-    /// Bar of what the observer's channels ask for, (channels, 3): dt G^T of the bar of v*.
-    std::vector<double> asked_bar(double dt) const {
-        const Observer* o = run_.inputs_.observer;
-        std::vector<double> bar(o ? 3 * o->channel_count() : 0, 0.0);
-        const std::size_t size = o ? o->reach_size() : 1;
-        for (std::size_t n = 0; o && n < model_.node_count(); ++n) {
-            if (run_.inverse_mass_[n] == T{}) {
-                continue;
-            }
-            for (std::int32_t r = o->reach_begin[n]; r < o->reach_begin[n + 1]; ++r) {
-                const std::size_t at_row = static_cast<std::size_t>(r);
-                const double* g = &o->reach_weight[size * at_row];
-                double* asked = &bar[3 * static_cast<std::size_t>(o->reach_channel[at_row])];
-                for (std::size_t c = 0; c < 3; ++c) {
-                    const double v = dt * static_cast<double>(vbar_[run_.at(0, c, n)]);
-                    if (size == 1) {
-                        asked[c] += g[0] * v;
-                        continue;
-                    }
-                    for (std::size_t k = 0; k < 3; ++k) {
-                        asked[k] += g[3 * c + k] * v;
-                    }
-                }
-            }
-        }
-        return bar;
+        reverse_observer(n, frame, dt);
     }
 
     /// Of linear rows the adjoint is the transpose: no value is needed.
-    void reverse_observer(int n, int frame, double dt, const std::vector<double>& asked) {
-        if (!run_.inputs_.observer) {
+    void reverse_observer(int n, int frame, double dt) {
+        const auto& observer = run_.observer_;
+        if (!pulled_) {
             return;
         }
-        const Observer& o = *run_.inputs_.observer;
-        const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
-        const TargetBasis basis = run_.target_basis(n, frame, dt);
-        for (std::size_t i = 0; i < count; ++i) {
+        observer->ask_bar(index(frame), run_.target_basis(n, frame, dt), asked_bar_, target_bar_, blend_bar_);
+        const std::vector<std::size_t>& read = observer->read_carriers();
+        for (std::size_t k = 0; k < read.size(); ++k) {
             for (std::size_t c = 0; c < 3; ++c) {
-                const double place = o.share[from + i] * o.stiffness * asked[3 * i + c];
-                const double rate = o.share[from + i] * o.damping * asked[3 * i + c];
-                for (std::size_t k = 0; k < 4; ++k) {
-                    target_bar_[((from + i) * 4 + k) * 3 + c] += basis.value[k] * place + basis.rate[k] * rate;
-                }
-                for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
-                    const std::size_t at_row = static_cast<std::size_t>(r);
-                    const std::size_t node = run_.at(0, c, static_cast<std::size_t>(o.row_carrier[at_row]));
-                    ubar_[node] -= static_cast<T>(o.row_weight[at_row] * place);
-                    vbar_[node] -= static_cast<T>(o.row_weight[at_row] * rate);
-                }
+                const T bar = blend_bar_[ObserverRows<T>::quad * k + c];
+                ubar_[run_.at(0, c, read[k])] += observer->stiffness() * bar;
+                vbar_[run_.at(0, c, read[k])] += observer->damping() * bar;
             }
         }
     }
@@ -351,6 +318,8 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     const Trajectory<T>& bar_;
     std::vector<double> step_time_, step_dt_;
     std::vector<int> step_frame_;
+    bool pulled_ = false;                    // in the present substep
+    std::vector<T> asked_bar_, blend_bar_;  // see ObserverRows
 };
 
 }  // namespace mphygs

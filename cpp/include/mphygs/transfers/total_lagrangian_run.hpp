@@ -3,8 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "mphygs/constraint.hpp"
+#include "mphygs/observer_rows.hpp"
 #include "mphygs/team.hpp"
 #include "mphygs/transfers/total_lagrangian_forces.hpp"
 
@@ -39,6 +41,11 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
             }
         });
         lambda_rows_.assign(static_cast<std::size_t>(lanes) * 3 * model.geometry_.row_count(), 0.0);
+        if (inputs.observer) {
+            observer_.emplace(*inputs.observer, stride_, [&](std::size_t k) {
+                return k < model.node_count() && inverse_mass_[k] != T{} ? inputs.observer->reach_row_of(k) : -1;
+            });
+        }
         int first = 0;
         for (const int steps : schedule.steps) {
             first_step_.push_back(first);
@@ -46,8 +53,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         }
     }
 
-    /// Substep `n` of the whole run, in output interval `frame`.
-    void step(int n, int frame, double time, double dt) {
+    /// Substep `n` of the whole run, in output interval `frame`. pulled: the observer's pulls are known already.
+    void step(int n, int frame, double time, double dt, bool pulled = false) {
         refresh_uniforms(time, dt);
         team_->each(static_cast<int>(model_.chunks_.size()),
                     [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
@@ -55,9 +62,11 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         place_forces(time);
         hook_forces(time, dt);
         known_forces(frame);
-        observe(n, frame, dt);
+        if (!pulled && ask(n, frame, dt)) {
+            spread_pulls(dt);
+        }
         update_nodes(time, dt);
-        pull(dt);
+        add_pulls();
         hold(n, dt);
         const T h = static_cast<T>(dt);
         for (std::size_t i = 0; i < u_.size(); ++i) {
@@ -257,78 +266,52 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         return {n - first_step_[f], schedule_.steps[f], dt};
     }
 
-    /// What the observer's channels ask for at the start of a substep [m/s^2].
-    void observe(int n, int frame, double dt) {
-        if (!inputs_.observer) {
-            return;
+    /// What the observer's channels ask for at the start of a substep [m/s^2]; whether there is anything.
+    bool ask(int n, int frame, double dt) {
+        if (!observer_) {
+            return false;
         }
-        const Observer& o = *inputs_.observer;
-        const std::size_t count = o.channel_count(), from = static_cast<std::size_t>(frame) * count;
-        const TargetBasis basis = target_basis(n, frame, dt);
-        const T stiffness = static_cast<T>(o.stiffness), damping = static_cast<T>(o.damping);
-        wanted_.assign(static_cast<std::size_t>(lanes) * 3 * count, T{});
-        // Rows are linear: one pass over them does for place and rate.
-        blend_.resize(u_.size());
-        for (std::size_t i = 0; i < u_.size(); ++i) {
-            blend_[i] = stiffness * u_[i] + damping * v_[i];
-        }
-        T factor[4];
-        for (std::size_t k = 0; k < 4; ++k) {
-            factor[k] = stiffness * static_cast<T>(basis.value[k]) + damping * static_cast<T>(basis.rate[k]);
-        }
-        for (int l = 0; l < lanes; ++l) {
-            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
-            const bool aimed = fields && !fields->target.empty();
-            for (std::size_t i = 0; i < count; ++i) {
-                const T share = static_cast<T>(o.share[from + i]);
-                if (share == T{}) {
-                    continue;
-                }
-                T asked[3] = {};
-                for (std::int32_t r = o.row_begin[i]; r < o.row_begin[i + 1]; ++r) {
-                    const std::size_t at_row = static_cast<std::size_t>(r);
-                    const T weight = static_cast<T>(o.row_weight[at_row]);
-                    for (std::size_t c = 0; c < 3; ++c) {
-                        asked[c] -= weight * blend_[at(l, c, static_cast<std::size_t>(o.row_carrier[at_row]))];
-                    }
-                }
-                for (std::size_t c = 0; c < 3; ++c) {
-                    for (std::size_t k = 0; aimed && k < 4; ++k) {
-                        asked[c] += factor[k] * fields->target[((from + i) * 4 + k) * 3 + c];
-                    }
-                    wanted_[(static_cast<std::size_t>(l) * 3 + c) * count + i] = share * asked[c];
-                }
+        const std::size_t interval = static_cast<std::size_t>(frame);
+        if (frame != aimed_) {
+            aimed_ = frame;
+            pulling_ = observer_->pulls(interval);
+            for (int l = 0; l < lanes; ++l) {
+                const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+                observer_->aim(interval, fields ? fields->target : std::vector<T>{}, aims_[l]);
             }
         }
+        const auto factors = observer_->factors(target_basis(n, frame, dt));
+        const std::vector<std::size_t>& read = observer_->read_carriers();
+        const T stiffness = observer_->stiffness(), damping = observer_->damping();
+        constexpr std::size_t quad = ObserverRows<T>::quad;
+        blend_.resize(quad * read.size());
+        for (int l = 0; pulling_ && l < lanes; ++l) {
+            for (std::size_t k = 0; k < read.size(); ++k) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    const std::size_t i = at(l, c, read[k]);
+                    blend_[quad * k + c] = stiffness * u_[i] + damping * v_[i];
+                }
+            }
+            observer_->ask(interval, factors, aims_[l], blend_, asked_[l]);
+        }
+        return pulling_;
     }
 
-    /// v* <- v* + dt G (what the channels ask for).
-    void pull(double dt) {
-        if (!inputs_.observer) {
-            return;
+    /// dt G (what the channels ask for), of all lanes, and of columns that others have beside them.
+    void spread_pulls(double dt, std::vector<const T*> asked = {}, std::vector<T*> pulled = {}) {
+        for (int l = 0; l < lanes; ++l) {
+            pulled_[l].resize(3 * stride_);
+            asked.insert(asked.begin() + l, asked_[l].data());
+            pulled.insert(pulled.begin() + l, pulled_[l].data());
         }
-        const Observer& o = *inputs_.observer;
-        const std::size_t count = o.channel_count(), size = o.reach_size();
-        const T h = static_cast<T>(dt);
-        for (std::size_t n = 0; n < model_.node_count(); ++n) {
-            if (inverse_mass_[n] == T{}) {
-                continue;
-            }
-            for (std::int32_t r = o.reach_begin[n]; r < o.reach_begin[n + 1]; ++r) {
-                const std::size_t at_row = static_cast<std::size_t>(r);
-                const double* g = &o.reach_weight[size * at_row];
-                for (int l = 0; l < lanes; ++l) {
-                    const T* from = &wanted_[static_cast<std::size_t>(l) * 3 * count + static_cast<std::size_t>(o.reach_channel[at_row])];
-                    for (std::size_t c = 0; c < 3; ++c) {
-                        if (size == 1) {
-                            v_[at(l, c, n)] += h * static_cast<T>(g[0]) * from[c * count];
-                            continue;
-                        }
-                        for (std::size_t k = 0; k < 3; ++k) {
-                            v_[at(l, c, n)] += h * static_cast<T>(g[3 * c + k]) * from[k * count];
-                        }
-                    }
-                }
+        observer_->pull(*team_, static_cast<T>(dt), asked, pulled);
+    }
+
+    void add_pulls() {
+        for (int l = 0; observer_ && pulling_ && l < lanes; ++l) {
+            T* to = &v_[at(l, 0, 0)];
+            for (std::size_t i = 0; i < 3 * stride_; ++i) {
+                to[i] += pulled_[l][i];
             }
         }
     }
@@ -434,8 +417,10 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     const Schedule& schedule_;
     Team* team_;
     std::vector<int> first_step_;             // of every output interval
-    std::vector<T> wanted_;                   // by the observer: lane, component, channel [m/s^2]
-    std::vector<T> blend_;                    // stiffness u + damping v of the nodes, for the observer
+    std::optional<ObserverRows<T>> observer_;
+    int aimed_ = -1;                           // output interval whose targets are in aims_
+    bool pulling_ = false;                     // whether any channel pulls in it
+    std::vector<T> aims_[lanes], asked_[lanes], pulled_[lanes], blend_;  // see ObserverRows
     std::vector<T> f_, mass_, inverse_mass_;  // lane, component, node
     Vec3<U> gravity_;
     U compliance_{};
