@@ -282,6 +282,7 @@ def test_a_law_takes_the_place_of_another_and_gives_it_back() -> None:
     assert spec.site == "law" and not spec.in_core and not spec.parameters
     model = belief.with_effect(other)
     assert (model.law, model.effects, model.chosen_law) == (other, (other,), other)
+    assert model.numbers == len(model.free) + 1
     assert model.parameters == belief.parameters
     again = belief_from_document(json.loads(json.dumps(document_of_belief(model))))
     assert again.law == other and again.terms == model.terms

@@ -15,7 +15,7 @@ from mphygs.model.belief import Belief
 
 Row = dict[str, object]
 # Numbers that are chosen with a setting of an effect: where it is, along what.
-_CHOSEN = {"place": 3, "axis": 2}
+_CHOSEN = {"place": 3, "axis": 2, "instead_of": 1}
 SHOWN = 12
 
 

@@ -83,7 +83,7 @@ def _may_lead(rival: Step, best: Step) -> bool:
 
 def _order(step: Step) -> tuple[int, float]:
     """Of models that do alike the one with fewest parameters comes first, then the one that explains most."""
-    return len(step.belief.free), excess(step.assessment)
+    return step.belief.numbers, excess(step.assessment)
 
 
 def _nearest(problem: Problem, rival: Step, best: Step) -> Step | None:
@@ -104,7 +104,7 @@ def _takes_the_grids(best: Step, rival: Step) -> bool:
     explained, or not at the floor either and has more parameters for what the best one is excused."""
     if not best.explained:
         return False
-    more = len(rival.belief.free) > len(best.belief.free)
+    more = rival.belief.numbers > best.belief.numbers
     excused = min(best.assessment.worst, rival.assessment.worst) > EXPLAINED
     return not rival.explained or (excused and more)
 

@@ -115,5 +115,5 @@ def does_alike(rival: Step, best: Step, *, share: float = CLEARLY_BETTER) -> boo
 
     share: of the rival's excess that a better one would leave.
     """
-    more = max(len(best.belief.free) - len(rival.belief.free), 0)
+    more = max(best.belief.numbers - rival.belief.numbers, 0)
     return excess(rival.assessment) < excess(best.assessment) / share + NEGLIGIBLE * (1 + more)

@@ -174,6 +174,11 @@ class Belief:
         """The law where it is an effect of the model, in the place of the one that was given."""
         return self.law if self.law in self.effects else None
 
+    @property
+    def numbers(self) -> int:
+        """Numbers that the data had to tell: those that are fitted, and one for a law that was chosen."""
+        return len(self.free) + (self.chosen_law is not None)
+
     def term(self, name: str) -> Term:
         """The term of an effect. Raises KeyError where the model has none of it."""
         for term in self.terms:
