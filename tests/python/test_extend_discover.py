@@ -520,41 +520,6 @@ def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.Monk
     assert (found.added, found.ties) == (("viscosity",), ("wind",))
 
 
-@pytest.mark.parametrize("leads", ["wind", "air_drag"])
-@pytest.mark.parametrize("deep", [1.05, 2.0])
-def test_what_contains_the_conclusion_ties_without_a_fit(
-    leads: str, deep: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """deep: what still air leaves on the deciding grid [sigma]; a wind of zero is still air."""
-    asked: list[str] = []
-
-    def refined(_e: object, steps: list[Step], _r: object, **_: object) -> Step:
-        step = steps[-1]
-        asked.append(step.added[0])
-        left = deep if step.added == ("air_drag",) else 1.04
-        return replace(step, spacing=0.5 * SPACING, assessment=assessment_of(left))
-
-    def on_grid(_e: object, step: Step, *_: object, **__: object) -> Step:
-        asked.append(f"{step.added[0]} beside")
-        return replace(step, spacing=0.5 * SPACING)
-
-    monkeypatch.setattr(settle, "refined", refined)
-    monkeypatch.setattr(settle, "on_grid", on_grid)
-    still, wind = model("air_drag", 0.9 if leads == "wind" else 0.6, 2), model("wind", 0.6, 5)
-    best, rival = (wind, still) if leads == "wind" else (still, wind)
-    first = step_of(assessment_of(20.0))
-    found = settled(ALONE, [first], best, [rival, model("viscosity", 1.5, 2)], None, screening=True)
-    if deep < 1.1:
-        assert (found.added, found.ties) == (("air_drag",), ("wind",))
-        assert asked == ["air_drag", "viscosity beside"]
-    elif leads == "wind":
-        # Its numbers are needed.
-        assert (found.added, found.ties) == (("wind",), ())
-        assert asked == ["air_drag", "wind", "viscosity beside"]
-    else:
-        assert (found.added, found.ties, asked) == (("air_drag",), (), ["air_drag"])
-
-
 def test_numbers_that_explain_far_more_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
@@ -653,7 +618,6 @@ def test_only_what_pays_sets_a_bound_for_others(
     rows = 100
     chi_squares = {"base_motion": 400.0, "relaxation": 700.0}
     bounds: dict[str, float] = {}
-    begin_anew: dict[str, bool] = {}
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect], rows))
@@ -661,7 +625,7 @@ def test_only_what_pays_sets_a_bound_for_others(
     def finish_refit(
         _e: object, _b: object, _c: object, entry: Entry, begun: Solution, *_: object, **options: object
     ) -> object:
-        bounds[entry.effect], begin_anew[entry.effect] = options["hopeless"], options["anew"]
+        bounds[entry.effect] = options["hopeless"]
         gain = GainInterval(1.0, 0.5, 1.5, 10) if pays else None
         refit = refit_of(gain=gain, chi_square=chi_squares[entry.effect], drop=1e4 if pays else 1.0)
         assert refit.pays is pays
@@ -676,8 +640,6 @@ def test_only_what_pays_sets_a_bound_for_others(
     refits_of(ALONE, current, window, ranking_of(*entries), SPACING, None, lambda _text: None)
     assert bounds["base_motion"] == np.inf
     assert bounds["relaxation"] == pytest.approx(refits.ALIKE * bound)
-    # The first one leaves noise alone: materials of others are not fitted from the start.
-    assert begin_anew == {"base_motion": True, "relaxation": not pays}
 
 
 @pytest.mark.parametrize(
@@ -755,18 +717,13 @@ def test_near_the_floor_who_is_behind_is_asked_again_at_its_place(
 
 
 @pytest.mark.parametrize("pays", [True, False])
-@pytest.mark.parametrize("astray", [True, False])
 def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
-    pays: bool, astray: bool, monkeypatch: pytest.MonkeyPatch
+    pays: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first two do alike on the window, the others leave more of it; astray: whether the second predicts
-    nothing of the other frames."""
-    front = 1 if astray else 2
+    """The first two do alike on the window, the others leave more of it."""
+    front = 2
     chi_squares = {"frame_drift": 100.0, "wind": 120.0, "base_motion": 220.0, "tether": 400.0, "fibre": 500.0}
     chi_squares["gravity"] = 600.0
-    monkeypatch.setattr(
-        refits, "told_by_prediction", lambda _e, begun, *_: (begun[:front], begun[front:])
-    )
     brought: list[list[str]] = []
 
     def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
@@ -796,51 +753,6 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     order = list(chi_squares)
     assert brought == [order[:front], *([] if pays else [order[front : front + 3]])]
     assert [r.entry.effect for r in found if r.pays][0] == ("frame_drift" if pays else "base_motion")
-
-
-@pytest.mark.parametrize(
-    ("wind", "grids", "left", "followed"),
-    [
-        (109.0, True, 1.2, [["air_drag", "viscosity"]]),
-        # More than the grid may have is left, or the numbers brought much: the wind is fitted.
-        (109.0, False, 1.2, [["air_drag", "viscosity"], ["wind"]]),
-        (102.0, True, 1.2, [["air_drag", "viscosity", "wind"]]),
-        # Another effect leaves noise alone.
-        (109.0, False, 1.02, [["air_drag", "viscosity"]]),
-    ],
-)
-def test_more_numbers_are_not_fitted_to_what_may_be_the_grids(
-    wind: float, grids: bool, left: float, followed: list[list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    chi_squares = {"air_drag": 110.0, "wind": wind, "viscosity": 115.0}
-    brought: list[list[str]] = []
-
-    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
-        return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect]))
-
-    def onward(_e: object, _share: float, begun: list[tuple], *_: object) -> list[tuple]:
-        brought.append(sorted(entry.effect for _, entry, _ in begun))
-        return begun
-
-    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> Refit:
-        gain = GainInterval(1.0, 0.5, 1.5, 10)
-        assessment = assessment_of(left if entry.effect == "viscosity" else 1.2)
-        return replace(refit_of(gain=gain, assessment=assessment), entry=entry)
-
-    for function in (start_refit, finish_refit):
-        monkeypatch.setattr(refits, function.__name__, function)
-    monkeypatch.setattr(refits, "followed_onward", onward)
-    monkeypatch.setattr(refits, "may_have_all", lambda *_: grids)
-    monkeypatch.setattr(refits, "told_by_prediction", lambda _e, begun, *_: (begun, []))
-    monkeypatch.setattr(refits, "_hopeless", lambda *_: np.inf)
-    entries = [entry_of(name, 1e4) for name in chi_squares]
-    window = (0.5, solution_of(plain_belief(), evaluation_of(1e6)))
-    ranking = ranking_of(*entries, misfit=10.0)
-    found = refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
-    assert brought == followed
-    contained = {r.entry.effect: r.contained_in for r in found}
-    assert contained["air_drag"] == (("wind",) if grids and len(contained) < 3 else ())
-    assert contained["viscosity"] == ()
 
 
 @pytest.mark.parametrize(("misfit", "pays", "asked"), [(1.5, True, 1), (2.5, True, 2), (1.5, False, 2)])
@@ -945,20 +857,14 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
         return solution_of(before.belief, evaluation_of(chi_squares[entry.effect]))
 
     placed: list[int] = []
-    limits: list[tuple[int, float]] = []
 
     def at_their_places(_e: object, begun: list[tuple], *_: object) -> list[tuple]:
         placed.append(len(begun))
         return begun
 
-    def with_limits(_e: object, begun: list[tuple], *given: object) -> list[tuple]:
-        limits.append(given[-2:])
-        return begun
-
     monkeypatch.setattr(refits, "start_refit", start_refit)
     monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
     monkeypatch.setattr(refits, "at_their_places", at_their_places)
-    monkeypatch.setattr(refits, "_with_limits", with_limits)
     lent: list[tuple[int, int, float]] = []
 
     def with_lent(_e: object, begun: list, *_: object, iterations: int, accuracy: float) -> list:
@@ -974,7 +880,7 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
     )
     assert bounds == ([np.inf] * 3 if afar else [np.inf, np.inf, refits.HOPELESS * 400.0])
     far, near = (refits.FIRST_AFAR, refits.ACCURACY_AFAR), (refits.FIRST, refits.ACCURACY)
-    assert allowed == [far if afar else near] * 3 and limits == allowed[:1]
+    assert allowed == [far if afar else near] * 3
     assert placed == ([3] if afar else []) and lent == ([(3, *far)] if afar else [])
 
 
@@ -1043,7 +949,6 @@ def test_what_explains_too_little_is_not_kept(
         "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "polished": lambda _e, step, _r: step,
         "finely": lambda _e, step, _r: step,
         "with_budget": lambda _e, step, _r, **_: step, "screening_spacing": lambda _c: SPACING,
-        "anew": lambda _e, step, _r: step,
     }  # fmt: skip
     for name, function in patches.items():
         monkeypatch.setattr(discover, name, function)
@@ -1122,7 +1027,7 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
         "reconciled": lambda _e, step, _r: step, "refined": lambda _e, steps, *_, **__: steps[-1],
         "mask_outliers": lambda *_: 0, "polished": lambda _e, step, _r: step,
         "finely": lambda _e, step, _r: step, "with_budget": lambda _e, step, _r, **_: step,
-        "screening_spacing": lambda _c: SPACING, "anew": lambda _e, step, _r: step,
+        "screening_spacing": lambda _c: SPACING,
         "exchanged": lambda *_, **__: None, "narrowed": lambda _e, step, _r: step,
         "explains": lambda *_: False,
     }  # fmt: skip
@@ -1171,7 +1076,7 @@ def test_an_exchange_that_explains_no_longer_is_not_made(
     steps = [step_of(near, added=names) for names in ((), ("viscosity",), ("gravity",))]
     other = [replace(step_of(assessment_of(worst), added=("wind",)), dropped=("viscosity",))]
     monkeypatch.setattr(discover, "exchanged", lambda *_, **__: other.pop() if other else None)
-    for name in ("polished", "finely", "anew", "reconciled"):
+    for name in ("polished", "finely", "reconciled"):
         monkeypatch.setattr(discover, name, lambda _e, step, _r: step)
     monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
     monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)

@@ -9,9 +9,8 @@ import pytest
 
 from extend_example import SPACING, entry_of, evaluation_of, plain_belief, solution_of
 from mphygs.extend import following
-from mphygs.extend.following import at_their_places, followed_onward, told_by_prediction
+from mphygs.extend.following import at_their_places, followed_onward
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -68,44 +67,6 @@ def test_who_falls_behind_on_the_way_is_not_brought_to_the_end(monkeypatch: pyte
     assert told and all("% done, about " in line for line in told)
     # So many go on whatever they leave.
     assert len(followed_onward(experiment, 0.25, few, SPACING, lines.append)) == 3
-
-
-@pytest.mark.parametrize(
-    ("misfits", "behind"),
-    [
-        # 0.21 beyond noise: what leaves ten times as much is astray
-        ({"air_drag": 1.1, "mass_damping": 1.8, "relaxation": 1.7}, ["mass_damping"]),
-        # less than a tenth is noise
-        ({"air_drag": 1.0, "mass_damping": 1.4, "relaxation": 1.42}, ["relaxation"]),
-        # nothing is near: a swing off, no prediction tells
-        ({"air_drag": 2.1, "mass_damping": 9.0}, []),
-        # what sets in may be met again
-        ({"air_drag": 1.1, "mass_damping": 1.2, "contact": 9.0}, []),
-        ({"air_drag": 1.1, "relaxation": np.inf}, ["relaxation"]),
-        ({"mass_damping": 1.1}, []),
-    ],
-)
-def test_what_predicts_the_other_frames_is_followed(misfits: dict[str, float], behind: list[str]) -> None:
-    begun = []
-    for k, name in enumerate(misfits):
-        belief = plain_belief().with_parameter(KEY, value=1e5 + k)
-        entry = entry_of(name, 1e4, kind="threshold" if name == "contact" else "smooth")
-        begun.append((100.0 + k, entry, solution_of(belief, evaluation_of(100.0 + k))))
-
-    def evaluate(belief: Belief, *, jacobian: bool) -> Evaluation:
-        assert not jacobian
-        misfit = list(misfits.values())[round(belief[KEY].value - 1e5)]
-        if not np.isfinite(misfit):
-            raise SimulationError("unstable")
-        return evaluation_of(100.0 * misfit**2)
-
-    experiment = SimpleNamespace(
-        settings=ALONE.settings, problem=lambda _spacing: SimpleNamespace(evaluate=evaluate)
-    )
-    said: list[str] = []
-    front, astray = told_by_prediction(experiment, begun, SPACING, said.append)
-    assert [entry.effect for _, entry, _ in astray] == behind and len(said) == len(behind)
-    assert [entry.effect for _, entry, _ in front] == [name for name in misfits if name not in behind]
 
 
 def test_from_afar_places_are_fitted_of_all_that_are_not_far_behind(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -451,7 +451,6 @@ def told(
     after: the step on the finer grid; shares: discretisation and physics in the rough budget [m].
     """
     done: list = []
-    monkeypatch.setattr(grids, "anew", lambda _experiment, one, _report: done.append("anew") or one)
 
     def on_grid(_experiment: object, _step: Step, spacing: float, _report: object) -> Step | None:
         done.append(("grid", spacing))
@@ -474,31 +473,6 @@ def told(
     expected = after if ("grid", deciding()) in done and after is not None else step
     assert found.belief is expected.belief and found.spacing == expected.spacing
     return done
-
-
-@pytest.mark.parametrize(
-    ("there", "here", "added", "begun"),
-    [
-        (1.2, 1.9, ("gravity",), True),
-        # it fits as well as it did
-        (1.45, 1.6, ("gravity",), False),
-        # near the floor: other rounds look at that
-        (1.1, 1.4, ("gravity",), False),
-        # nowhere near on the coarse grid either: something is missing
-        (1.6, 3.0, ("gravity",), False),
-        # the first model, and what sets in, which is followed from before it
-        (1.2, 1.9, (), False),
-        (1.2, 1.9, ("contact",), False),
-    ],
-)
-def test_materials_begin_anew_where_a_finer_grid_leaves_more(
-    there: float, here: float, added: tuple[str, ...], begun: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    coarse, fine = (
-        step_of(assessment_of(sigma), added=added, spacing=spacing, chi_square=100.0 * sigma**2)
-        for sigma, spacing in zip((there, here), steps_told(), strict=True)
-    )
-    assert ("anew" in told(monkeypatch, coarse, screening=True, after=fine)) is begun
 
 
 def test_only_a_grid_for_screening_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -769,7 +743,6 @@ def test_no_finer_grid_is_asked_where_two_grids_say_that_it_would_be_too_little(
     monkeypatch.setattr(grids, "complete", lambda _e, step: step)
     monkeypatch.setattr(grids, "next_spacing", lambda *_: deciding())
     monkeypatch.setattr(grids, "on_grid", lambda *_, **__: moved)
-    monkeypatch.setattr(grids, "left_behind", lambda *_: False)
     monkeypatch.setattr(grids, "known_budget", lambda _step: False)
     monkeypatch.setattr(grids, "with_budget", lambda _e, step, *_, **__: step)
     monkeypatch.setattr(grids, "finer", lambda *_: asked.append("finer"))

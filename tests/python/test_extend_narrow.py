@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, assessment_of, entry_of, recorded, solution_of
-from mphygs.diagnose.ranking import Ranking
-from mphygs.extend import narrow, refits
+from extend_example import SPACING, assessment_of, recorded
+from mphygs.extend import narrow
 from mphygs.extend.discover import _conclude
 from mphygs.extend.narrow import narrowed
 from mphygs.extend.special import SHORT, without_memory
@@ -136,31 +135,3 @@ def test_a_viscosity_that_explains_less_is_not_told_for_a_short_relaxation(
     monkeypatch.setattr(narrow, "_with", lambda *_: other)
     step = replace(step, assessment=assessment_of(1.0))
     assert narrowed(experiment, step) is (other if exchanged else step)
-
-
-def test_a_viscosity_begins_where_a_short_relaxation_led() -> None:
-    experiment, step = damped(0.0)
-    problem = experiment.window(SPACING, 1.0)
-    relaxing = entry_of("relaxation", 1e4), step.solution
-    weak = step.belief.without_effect("relaxation").with_effect("viscosity", {"eta": 0.1})
-    alone = problem.evaluate(weak, jacobian=False)
-    viscous = entry_of("viscosity", 1e3)
-    begun = [
-        (step.solution.evaluation.chi_square, *relaxing),
-        (alone.chi_square, viscous, solution_of(weak, alone)),
-    ]
-    ranking = Ranking((relaxing[0], viscous), 1e6, alone.data_rows, None)
-    said: list[str] = []
-    found = refits._with_limits(experiment, begun, ranking, 1.0, SPACING, said.append)
-    by_name = {entry.effect: (chi_square, fit) for chi_square, entry, fit in found}
-    assert len(found) == 2 and len(said) == 1
-    chi_square, fit = by_name["viscosity"]
-    assert alone.misfit > 1.5 and fit.evaluation.misfit < 1.1
-    assert chi_square == fit.evaluation.chi_square
-    assert fit.belief["viscosity.eta"].value == pytest.approx(VISCOSITY, rel=0.1)
-    # One that is there already and leaves less stays; none is begun that may not be added.
-    less = [found[0], (0.0, *found[1][1:])]
-    again = refits._with_limits(experiment, less, ranking, 1.0, SPACING, said.append)
-    assert {chi_square for chi_square, _, _ in again} == {found[0][0], 0.0}
-    only = replace(ranking, entries=(relaxing[0],))
-    assert refits._with_limits(experiment, begun[:1], only, 1.0, SPACING, said.append) == begun[:1]

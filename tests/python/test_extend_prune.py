@@ -8,18 +8,15 @@ from functools import cache
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import SPACING, assessment_of, excess_of, recorded
+from extend_example import SPACING, excess_of, recorded
 from mphygs.extend import prune
-from mphygs.extend.anew import anew
 from mphygs.extend.discover import _conclude
 from mphygs.extend.prune import pruned
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at, step_document
-from mphygs.fit.anew import fitted_anew
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
-from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
 
 ETA, TILT = 20.0, 1.5
@@ -104,57 +101,5 @@ def test_what_pays_a_little_of_a_large_misfit_stays(
     experiment, _, last = both(0.0)
     last = replace(last, assessment=excess_of(10.0))
     monkeypatch.setattr(prune, "_far", lambda *_: False)
-    monkeypatch.setattr(prune, "anew", lambda _experiment, step, _report: step)
     monkeypatch.setattr(experiment, "assess", lambda _compared: excess_of(rise * 10.0))
     assert (pruned(experiment, last, ["gravity"]).belief.effects == ("viscosity",)) is goes
-
-
-def test_materials_begin_anew_where_that_is_better() -> None:
-    experiment, elastic = scene(0.0)
-    truth = elastic.with_effect("viscosity", {"eta": ETA})
-    stuck = truth.with_parameter("part0.youngs_modulus", value=6e5)
-    said: list[str] = []
-    before = step_at(experiment, stuck, SPACING, added=("viscosity",))
-    found = anew(experiment, before, said.append)
-    assert found.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.01)
-    assert found.assessment.worst < 1.2 < before.assessment.worst and found.added == before.added
-    assert said[-1].startswith("materials anew: cost ")
-    # At the minimum nothing is gained.
-    best = anew(experiment, found)
-    assert best.solution.evaluation.cost <= found.solution.evaluation.cost
-    assert best.belief["part0.youngs_modulus"].value == pytest.approx(6e4, rel=0.01)
-
-
-def test_materials_that_do_no_better_on_half_of_the_frames_are_not_followed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    experiment, elastic = scene(0.0)
-    truth = elastic.with_effect("viscosity", {"eta": ETA})
-    best = anew(experiment, step_at(experiment, truth, SPACING, added=("viscosity",))).solution
-    said: list[str] = []
-    assert fitted_anew(experiment, best, SPACING, said.append) is best
-    assert said[-1] == "materials anew: no better on 50% of the frames"
-    assert not any("100%" in line for line in said)
-
-    # First frames that lead elsewhere are not followed either.
-    far = best.belief.with_parameter("part0.youngs_modulus", value=6e5)
-    with monkeypatch.context() as patch:
-        patch.setattr("mphygs.fit.anew.minimise", lambda *_, **__: replace(best, belief=far))
-        assert fitted_anew(experiment, best, SPACING, said.append) is best
-    assert said[-1] == "materials anew: astray on 50% of the frames"
-
-    def unstable(*_: object, **__: object) -> None:
-        raise SimulationError("too soft")
-
-    monkeypatch.setattr("mphygs.fit.anew.find_scale", unstable)
-    assert fitted_anew(experiment, best, SPACING) is best
-
-
-def test_a_closer_fit_that_predicts_worse_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    experiment, elastic = scene(0.0)
-    truth = elastic.with_effect("viscosity", {"eta": ETA})
-    near = truth.with_parameter("part0.youngs_modulus", value=6.03e4)
-    before = step_at(experiment, near, SPACING, added=("viscosity",))
-    assert before.explained and anew(experiment, before) is not before
-    monkeypatch.setattr(experiment, "assess", lambda _compared: assessment_of(5.0))
-    assert anew(experiment, before) is before

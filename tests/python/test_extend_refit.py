@@ -14,7 +14,6 @@ from extend_example import SPACING, entry_of, recorded, refit_of
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.autoregression import Autoregression
-from mphygs.diagnose import grid_error
 from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import rank
@@ -394,38 +393,6 @@ def test_a_refit_is_finished_and_judged_on_unseen_frames() -> None:
     assert finish(0.9 * after) is None
 
 
-@pytest.mark.parametrize(
-    ("kind", "misfit", "grid", "begun"),
-    [
-        ("smooth", 1.2, 0.6, ["anew", "place"]),
-        # all of it may be the grid's: 0.66 sigma beyond noise
-        ("smooth", 1.2, 0.7, ["place"]),
-        # at the floor; far from it; what sets in
-        ("smooth", 1.02, 0.0, ["place"]),
-        ("smooth", 1.3, 0.0, ["place"]),
-        ("threshold", 1.2, 0.0, ["place"]),
-    ],
-)
-def test_a_refit_near_the_floor_begins_anew_before_its_place_is_sought(
-    kind: str, misfit: float, grid: float, begun: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    experiment, before, entry, _ = scene()
-    done: list[str] = []
-    rows = before.evaluation.data_rows
-    residual = np.where(np.arange(len(before.evaluation.residual)) < rows, misfit, 0.0)
-    left = replace(before, evaluation=replace(before.evaluation, residual=residual), converged=True)
-    monkeypatch.setattr(refit, "minimise", lambda *_, **__: left)
-    monkeypatch.setattr(refit, "fitted_anew", lambda _e, found, *_: done.append("anew") or found)
-    monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: grid)
-    monkeypatch.setattr(refit, "relocated", lambda _p, found, **_: done.append("place") or found)
-    compared = experiment.compare(before.belief, SPACING, jacobian=False)
-    entry = replace(entry, kind=kind)
-    finish_refit(
-        experiment, before, compared, entry, left, SPACING, generator=np.random.default_rng(0)
-    )
-    assert done == begun
-
-
 # Far from the floor an iteration has to bring more.
 @pytest.mark.parametrize(("far", "brings"), [(refit.FAR, refit.BRINGS), (0.5, refit.BRINGS_FAR)])
 def test_a_refit_that_hardly_falls_is_not_brought_further(
@@ -445,7 +412,7 @@ def test_a_refit_that_hardly_falls_is_not_brought_further(
     monkeypatch.setattr(refit, "minimise", counted)
     finish_refit(
         experiment, before, compared, entry, solution, SPACING,
-        generator=np.random.default_rng(0), accuracy=2e-3, iterations=8, anew=False,
+        generator=np.random.default_rng(0), accuracy=2e-3, iterations=8,
     )  # fmt: skip
     assert asked[:2] == [(3, 0.0), (5, pytest.approx(brings * 2e-3))]
 

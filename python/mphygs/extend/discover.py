@@ -13,7 +13,6 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.ranking import Ranking
-from mphygs.extend.anew import anew
 from mphygs.extend.candidate_table import Row, candidate_rows
 from mphygs.extend.exchange import exchanged
 from mphygs.extend.finer import compared_at
@@ -24,12 +23,11 @@ from mphygs.extend.prune import pruned
 from mphygs.extend.ranked import ranked
 from mphygs.extend.readmit import readmitted
 from mphygs.extend.reconcile import reconciled
-from mphygs.extend.refit import AT_FLOOR
 from mphygs.extend.refits import refits_of
 from mphygs.extend.seen_faults import fault_lines, fault_names, seen_faults
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
-from mphygs.extend.step import EXPLAINED, FAULT, Step, excess, known_budget, leaves_most
+from mphygs.extend.step import FAULT, Step, excess, known_budget, leaves_most
 from mphygs.extend.steps import undetermined
 from mphygs.extend.window import HALF, passed_on_the_way
 from mphygs.fit.experiment import Experiment
@@ -278,9 +276,6 @@ def discover(
         done(step)
     if steps[-1].explained and FAULT in [name for step in steps for name in step.added]:
         steps[-1] = readmitted(experiment, steps[-1], report)
-    if steps[-1].added and AT_FLOOR < steps[-1].assessment.worst <= EXPLAINED:
-        # Near the floor, not at it: the materials may be where a model without the effect had drawn them.
-        steps[-1] = anew(experiment, steps[-1], report)
     if steps[-1].explained:
         if screening and final:
             steps[-1] = finely(experiment, steps[-1], report)

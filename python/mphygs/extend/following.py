@@ -25,9 +25,6 @@ Begun = tuple[float, Entry, Solution]
 FINISHED = 3
 # Below this misfit [sigma] what is linear in the parameters says most.
 LINEAR = 2.0
-# Where a refit to the first frames predicts the others to LINEAR, those that leave so many times as much
-# beyond noise there are behind; what is less than the second number [of the noise's mean square] is noise.
-ASTRAY, NOISE = 10.0, 0.1
 # One that leaves so many times the best one's chi^2 once it was followed onward is not brought to the end;
 # one whose place is not fitted yet may leave more.
 BEHIND, MISPLACED = 3.0, 6.0
@@ -60,36 +57,6 @@ def at_their_places(
         return fit.evaluation.chi_square, entry, fit
 
     return side_by_side(experiment, relocate, begun)
-
-
-def told_by_prediction(
-    experiment: Experiment,
-    begun: Sequence[Begun],
-    spacing: float,
-    say: Callable[[str], None],
-) -> tuple[list[Begun], list[Begun]]:
-    """Refits to the first frames that predict the others, and those that go astray there; none does where no
-    prediction is near the data. What sets in may do so once more: its prediction says little."""
-
-    def beyond(own: Experiment, item: Begun) -> float:
-        """Mean square beyond noise over all fitted frames."""
-        try:
-            misfit = own.problem(spacing).evaluate(item[2].belief, jacobian=False).misfit
-        except SimulationError:
-            return np.inf
-        return max(misfit**2 - 1.0, 0.0)
-
-    smooth = [item for item in begun if item[1].kind != "threshold"]
-    if len(smooth) < 2:
-        return list(begun), []
-    left = side_by_side(experiment, beyond, smooth)
-    if min(left) > LINEAR**2 - 1.0:
-        return list(begun), []
-    limit = ASTRAY * max(min(left), NOISE)
-    astray = [item for item, value in zip(smooth, left, strict=True) if value > limit]
-    for item in astray:
-        say(f"with {item[1].label}: the other frames are far from what it predicts")
-    return [item for item in begun if not any(item is other for other in astray)], astray
 
 
 def _frames_ahead(followed: Sequence[tuple[Entry, Solution, list[float]]], share: float) -> float:

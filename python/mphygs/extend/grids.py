@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR
 from mphygs.diagnose.grid_error import may_have_all
-from mphygs.extend.anew import anew
 from mphygs.extend.finer import (
     LENDS,
     closest,
@@ -46,9 +45,6 @@ ITERATIONS, FIRST = 8, 3
 # many sigma: less than that the floor test, which a rough share misleads, may excuse. Before a fit is at its
 # end so many times more; so many times where it hardly falls any further.
 BEYOND, CLEAR, FURTHER = 3.0, 1.5, 2.0
-# A model that nearly explained the motion on a coarse grid, and on a finer one leaves so many times as much
-# and is not near the floor, has materials that were the coarse grid's.
-LEFT_BEHIND = 1.2
 # Share of the cost that the last step of what is concluded may promise, and of what is not near the floor.
 LAST_DIGITS, ROUGHLY = 1e-5, 1e-2
 
@@ -89,12 +85,6 @@ def _grid_may_have(experiment: Experiment, step: Step) -> bool:
 def sets_in(step: Step) -> bool:
     """Whether the last effect of a step is one that sets in at some moment: a wall, yielding."""
     return any(effect(name).kind == "threshold" for name in step.added)
-
-
-def left_behind(coarse: Step, fine: Step) -> bool:
-    """Whether a model that did well on a coarse grid is far from its minimum on a finer one."""
-    there, here = coarse.solution.evaluation.misfit, fine.solution.evaluation.misfit
-    return bool(fine.added) and not sets_in(fine) and there < CLEAR < here and here > LEFT_BEHIND * there
 
 
 def on_grid(
@@ -298,8 +288,6 @@ def refined(
         spacing = deciding
     if spacing is not None:
         moved = on_grid(experiment, current, spacing, report)
-        if moved is not None and left_behind(current, moved):
-            moved = anew(experiment, moved, report)
         hopeless = moved is not None and _far_beyond(
             current.assessment.worst, moved.assessment.worst, current.spacing / moved.spacing
         )

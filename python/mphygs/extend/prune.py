@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mphygs.extend.anew import anew
 from mphygs.extend.finer import lender_of
 from mphygs.extend.grids import complete
 from mphygs.extend.step import NEGLIGIBLE, Step, does_alike
@@ -65,7 +64,7 @@ def pruned(
             continue
         without = complete(experiment, without)
         if without.explained >= step.explained:
-            step = anew(experiment, without, report)
+            step = without
     return step
 
 

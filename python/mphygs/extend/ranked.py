@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -13,13 +12,10 @@ from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
 from mphygs.diagnose.ways import pushes
 from mphygs.extend.step import Step
-from mphygs.extend.window import ON_THE_WAY, at_other_scales, tractable_window
+from mphygs.extend.window import at_other_scales, tractable_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.model.registry import effects
-
-# Of the excess over noise: where no effect promises more, other materials have made up for the true one.
-LITTLE = 0.15
 
 
 def ranked(
@@ -42,38 +38,18 @@ def ranked(
     if afar is not None:
         window = window[0], afar
 
-    def ranking_of(window: tuple[float, Solution], generator: np.random.Generator) -> Ranking:
-        share, fitted = window
-        # From afar the grid's error is that of another motion: no share of what is left there.
-        own = afar is None
-        allowance = (
-            allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=share)
-            if own
-            else Allowance()
-        )
-        return rank(
-            experiment, fitted.belief, fitted.evaluation, spacing,
-            share=share, generator=generator, names=names, allowance=allowance, report=report,
-        )  # fmt: skip
-
-    ranking = ranking_of(window, generator)
-    if window[1].reason == ON_THE_WAY and _promised(ranking) < LITTLE:
-        say("no effect promises much there: seen again from the first frames on")
-        other = tractable_window(experiment, replace(current, halfway=None), spacing, say)
-        again = ranking_of(other, generator.spawn(1)[0])
-        if _promised(again, net=True) > _promised(ranking, net=True):
-            return other, False, again
+    share, fitted = window
+    # From afar the grid's error is that of another motion: no share of what is left there.
+    allowance = (
+        allowance_of(experiment, spacing, fitted.belief, fitted.evaluation, share=share)
+        if afar is None
+        else Allowance()
+    )
+    ranking = rank(
+        experiment, fitted.belief, fitted.evaluation, spacing,
+        share=share, generator=generator, names=names, allowance=allowance, report=report,
+    )  # fmt: skip
     return window, afar is not None, ranking
-
-
-def _promised(ranking: Ranking, *, net: bool = False) -> float:
-    """The largest share of the excess over noise that an effect is predicted to take; net: of a smooth one's,
-    what the grid may have of its own is no part."""
-    beyond = own = max(ranking.chi_square - ranking.rows, 1.0)
-    if net and ranking.table is not None:
-        own = max(ranking.table.chi_square - ranking.table.degrees, 1.0)
-    shares = [e.statistic / (beyond if e.kind == "threshold" else own) for e in ranking.entries]
-    return max(shares, default=0.0)
 
 
 def _from_afar(

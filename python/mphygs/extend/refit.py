@@ -10,12 +10,10 @@ import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared, whiten_all
 from mphygs.diagnose.contact_search import hold_friction, release_friction
-from mphygs.diagnose.grid_error import may_have_all
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.ranking import Entry
 from mphygs.extend.known_slopes import approached_from
 from mphygs.extend.setting_in import placed
-from mphygs.fit.anew import fitted_anew
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import TOO_LITTLE, Solution, approached, minimise, promise, told
 from mphygs.fit.places import relocated
@@ -53,7 +51,7 @@ BRINGS_SETTING_IN = 20.0
 class Refit:
     """A model with an effect added. compared: without tangents, which only the one that is kept needs; gain:
     on unseen frames over the model before; actual_drop: of chi^2 on the fitted frames, to hold against
-    entry.statistic; contained_in: promising effects that are this one with more numbers, not refitted."""
+    entry.statistic."""
 
     entry: Entry
     solution: Solution
@@ -61,7 +59,6 @@ class Refit:
     assessment: Assessment
     gain: GainInterval | None
     actual_drop: float
-    contained_in: tuple[str, ...] = ()
 
     @property
     def belief(self) -> Belief:
@@ -269,14 +266,12 @@ def finish_refit(
     iterations: int = 10,
     accuracy: float = 1e-4,
     hopeless: float = math.inf,
-    anew: bool = True,
     report: Callable[[str], None] | None = None,
 ) -> Refit | None:
     """Bring a refit that was begun to its minimum and judge it.
 
     accuracy: share of the cost that a last step may promise; hopeless: chi^2 above which it is given up after
-    three iterations; anew: whether materials may begin from the start near the floor. None where it is given
-    up, or where its motion cannot be simulated.
+    three iterations. None where it is given up, or where its motion cannot be simulated.
     """
     problem = experiment.problem(spacing)
     tell = told(report, f"with {entry.effect}")
@@ -299,10 +294,6 @@ def finish_refit(
                 problem, solution.belief, iterations=iterations - 3, relative_tolerance=accuracy,
                 least=brings * accuracy, report=tell,
             )  # fmt: skip
-        close = AT_FLOOR < solution.evaluation.misfit < NEAR_FLOOR
-        if anew and close and not late:
-            if not may_have_all(experiment, spacing, solution.belief, solution.evaluation):
-                solution = fitted_anew(experiment, solution, spacing, report)
         # Materials first: a place that makes up for theirs is hard to leave.
         solution = relocated(problem, solution, relative_tolerance=accuracy, report=report)
         compared = experiment.compare(solution.belief, spacing, jacobian=False)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.diagnose.grid_error import may_have_all, unabsorbed
+from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.following import (
     BEHIND,
@@ -18,16 +17,14 @@ from mphygs.extend.following import (
     Begun,
     at_their_places,
     followed_onward,
-    told_by_prediction,
 )
 from mphygs.extend.lent import with_lent_materials
 from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
-from mphygs.extend.settle import ALIKE, ALIKE_EXCESS, RIVAL
-from mphygs.extend.special import SHORT_ENOUGH, limit_of, simple_of, wider_than, without_memory
+from mphygs.extend.settle import ALIKE, ALIKE_EXCESS
 from mphygs.extend.step import Step
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.places import movable, relocated
 from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
@@ -143,7 +140,6 @@ def refits_of(
             else:
                 fates[entry.effect] = "cannot be simulated from its estimate"
         countdown.done(len(wave))
-    begun = _with_limits(experiment, begun, ranking, window[0], spacing, say, iterations, accuracy)
     if afar:
         begun = at_their_places(experiment, begun, window[0], spacing, say)
         begun = with_lent_materials(
@@ -162,15 +158,7 @@ def refits_of(
     # those does any good there, a short window had the wrong ones in front.
     limit = ALIKE * begun[0][0]
     alike, behind = ([item for item in begun if (item[0] < limit) is side] for side in (True, False))
-    wider, alike = _contained(alike)
-    alike, astray = told_by_prediction(experiment, alike, spacing, say)
-    behind = [*astray, *behind]
     found = finished(followed_onward(experiment, window[0], alike, spacing, say))
-    if wider:
-        if _spared(experiment, found, wider, spacing):
-            found = [replace(r, contained_in=wider_than(r.entry.effect, _effects(wider))) for r in found]
-        elif not any(_at_noise(r) for r in found):
-            found += finished(followed_onward(experiment, window[0], wider, spacing, say))
     if behind and not any(r.pays or r.may_pay for r in found):
         behind = behind[:FINISHED]
         say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
@@ -191,74 +179,9 @@ def _begun_only(fit: Solution, share: float) -> str:
     return f"begun, and left {fit.evaluation.misfit:.2f} sigma{frames}"
 
 
-def _with_limits(
-    experiment: Experiment,
-    begun: Sequence[Begun],
-    ranking: Ranking,
-    share: float,
-    spacing: float,
-    say: Callable[[str], None],
-    iterations: int = FIRST,
-    accuracy: float = ACCURACY,
-) -> list[Begun]:
-    """The refits, with an effect's limit begun where that one led and is over in a short time: alone it may
-    be far from its strength yet."""
-    wide, led = next(((e.effect, fit.belief) for _, e, fit in begun if limit_of(e.effect)), ("", None))
-    entry = next((e for e in ranking.entries if led is not None and e.effect == limit_of(wide)), None)
-    if entry is None:
-        return list(begun)
-    fps = experiment.capture.sequence(next(iter(experiment.fitted))).fps
-    start = without_memory(led, wide, fps, short=SHORT_ENOUGH)
-    if start is None:
-        return list(begun)
-    try:
-        problem = experiment.window(spacing, share)
-        fit = minimise(problem, start, iterations=iterations, relative_tolerance=accuracy)
-    except SimulationError:
-        return list(begun)
-    own = next((chi_square for chi_square, e, _ in begun if e is entry), np.inf)
-    say(f"{entry.effect} from the {wide}, whose time is short: {fit.evaluation.misfit:.3f} sigma")
-    if fit.evaluation.chi_square >= own:
-        return list(begun)
-    rest = [item for item in begun if item[1] is not entry]
-    return [*rest, (fit.evaluation.chi_square, entry, fit)]
-
-
 def _at_noise(refit: Refit) -> bool:
     """Whether a refit pays and leaves noise alone."""
     return refit.pays and refit.assessment.worst <= AT_FLOOR
-
-
-def _effects(begun: Sequence[Begun]) -> list[str]:
-    return [entry.effect for _, entry, _ in begun]
-
-
-def _contained(
-    begun: Sequence[Begun],
-) -> tuple[list[Begun], list[Begun]]:
-    """Refits whose effect is another one of them with more numbers that bring little, and the rest."""
-    left = {entry.effect: chi - fit.evaluation.data_rows for chi, entry, fit in begun}
-
-    def brings_little(item: Begun) -> bool:
-        simple = simple_of(item[1].effect)
-        return simple in left and left[simple] < RIVAL * left[item[1].effect]
-
-    wider, rest = ([item for item in begun if brings_little(item) is side] for side in (True, False))
-    return wider, rest
-
-
-def _spared(
-    experiment: Experiment,
-    found: Sequence[Refit],
-    wider: Sequence[Begun],
-    spacing: float,
-) -> bool:
-    """Whether effects with more numbers need no refit: what the simpler ones leave may be the grid's own,
-    which more numbers only take up."""
-    simple = [r for r in found if wider_than(r.entry.effect, _effects(wider))]
-    return len(simple) == len(wider) and all(
-        r.pays and may_have_all(experiment, spacing, r.belief, r.solution.evaluation) for r in simple
-    )
 
 
 def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[Begun]) -> bool:
@@ -299,7 +222,6 @@ def _finished(
             generator=generator,
             accuracy=SCREENING_ACCURACY,
             hopeless=_hopeless(experiment, finished, spacing),
-            anew=not any(_at_noise(r) for r in finished),
             report=say,
         )
         if result is not None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from mphygs.extend.finer import carried_over, closest, lent, less_the_change
 from mphygs.extend.grids import complete, on_grid, refined
 from mphygs.extend.refit import AT_FLOOR, Refit
-from mphygs.extend.special import simple_of, wider_than
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
@@ -46,7 +45,7 @@ def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float)
         refit.assessment,
         spacing,
         added,
-        refit.contained_in,
+        (),
         tuple(refits),
         since,
     )
@@ -120,46 +119,15 @@ def settled(
 ) -> Step:
     """The better of the best step and its rivals on the grid that the best one asks for, with its ties.
 
-    What reaches the floor as well cannot be told from it. An effect that is a rival with more numbers is held
-    against that one first: where it reaches the floor, so would the wider one, which is a tie without a fit.
+    What reaches the floor as well cannot be told from it.
     """
     tried = best.refits
     best, rivals = plainest(best, rivals)
-
-    def at_floor(step: Step, others: Sequence[Step]) -> Step:
-        tied = any(does_alike(r, step) or r.assessment.worst <= MAY_BE_THE_GRIDS for r in others)
-        return refined(experiment, [*steps, step], report, screening=screening, tied=tied)
-
-    wider, rest = _wider_first([best, *rivals])
-    if wider:
-        simple = at_floor(rest[0], [*wider, *rest[1:]])
-        if simple.explained:
-            ties = (*simple.ties, *(step.added[0] for step in wider))
-            first = replace(simple, ties=ties)
-            return replace(among(experiment, first, rest[1:], report, screening=screening), refits=tried)
-        if best is not rest[0]:
-            # The wider one led, and its numbers are needed.
-            best, rivals = at_floor(best, rivals), [simple if r is rest[0] else r for r in rivals]
-        else:
-            best = simple
-    else:
-        best = at_floor(best, rivals)
+    tied = any(does_alike(r, best) or r.assessment.worst <= MAY_BE_THE_GRIDS for r in rivals)
+    best = refined(experiment, [*steps, best], report, screening=screening, tied=tied)
     if not best.explained:
         best = replace(best, ties=())
     return replace(among(experiment, best, rivals, report, screening=screening), refits=tried)
-
-
-def _wider_first(steps: Sequence[Step]) -> tuple[list[Step], list[Step]]:
-    """The steps whose effect is that of another one with more numbers, the first step or that other one's
-    own, and the rest, that other one first; none where the first step has no part in it, or where those
-    numbers explained far more on the grid so far."""
-    best = steps[0]
-    simple = next((s for s in steps if s.added[0] == simple_of(best.added[0])), best)
-    left = excess(simple.assessment)
-    names = [s.added[0] for s in steps if left < RIVAL * excess(s.assessment) + ALIKE_EXCESS]
-    of_it = wider_than(simple.added[0], names)
-    wider = [step for step in steps if step.added[0] in of_it]
-    return wider, [simple, *(s for s in steps if s is not simple and s not in wider)]
 
 
 def among(

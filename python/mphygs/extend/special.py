@@ -5,8 +5,6 @@ An effect says which: it is the simpler one where its flow is nothing, or as its
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from mphygs import _core
@@ -15,9 +13,8 @@ from mphygs.model.belief import Belief
 from mphygs.model.materials import lame
 from mphygs.model.registry import effect
 
-# The time, in units of that between frames, below which no frame tells an effect from its limit, and below
-# which one may lead to the other.
-SHORT, SHORT_ENOUGH = 0.5, 2.0
+# The time, in units of that between frames, below which no frame tells an effect from its limit.
+SHORT = 0.5
 
 
 def simple_of(name: str) -> str | None:
@@ -37,19 +34,14 @@ def further(name: str) -> tuple[str, ...]:
     return tuple(p.name for p in effect(name).of_role("flow"))
 
 
-def wider_than(name: str, among: Iterable[str]) -> tuple[str, ...]:
-    """Those of some effects that an effect is a special case of."""
-    return tuple(dict.fromkeys(other for other in among if simple_of(other) == name))
-
-
-def without_memory(belief: Belief, wide: str, fps: float, *, short: float = SHORT) -> Belief | None:
+def without_memory(belief: Belief, wide: str, fps: float) -> Belief | None:
     """The belief with its limit in the place of an effect whose time is over soon; None where it has it not,
-    or it takes longer. fps: frames per second; short: in units of the time between frames."""
+    or it takes longer. fps: frames per second."""
     simple = limit_of(wide)
     if simple is None or wide not in belief.effects or simple in belief.effects:
         return None
     spec = effect(wide)
-    if any(belief[f"{wide}.{p.name}"].value > short / fps for p in spec.of_role("level")):
+    if any(belief[f"{wide}.{p.name}"].value > SHORT / fps for p in spec.of_role("level")):
         return None
     moduli, ratios = (
         np.array([belief[f"{name}.{key}"].value for name in belief.parts])
