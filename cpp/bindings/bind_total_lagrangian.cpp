@@ -116,12 +116,14 @@ void bind(py::module_& m, const char* name) {
              py::arg("hook") = py::none(), py::arg("added") = py::list(), py::arg("observer") = py::none())
         .def("adjoint",
              [](const Model& self, const py::dict& fields, const py::dict& schedule, const Array<T>& displacement_bar,
-                const Array<T>& velocity_bar, const py::object& progress, const py::object& hook, const py::object& observer) {
+                const Array<T>& velocity_bar, const py::object& progress, const py::object& hook, const py::object& observer,
+                const py::object& reaction_bar) {
                  const Fields<T> f = to_fields<T>(fields);
                  const Schedule s = to_schedule(schedule);
                  const PointHook<T> h = to_hook<T>(hook);
                  const std::optional<Observer> o = to_observer(observer);
-                 const Trajectory<T> bar{to_vector<T>(displacement_bar), to_vector<T>(velocity_bar)};
+                 const Trajectory<T> bar{to_vector<T>(displacement_bar), to_vector<T>(velocity_bar),
+                                         reaction_bar.is_none() ? std::vector<double>{} : to_vector<double>(reaction_bar.cast<Array<double>>())};
                  Fields<T> g;
                  long recomputed = 0;
                  {
@@ -132,7 +134,8 @@ void bind(py::module_& m, const char* name) {
                  return py::make_tuple(fields_dict(std::move(g)), recomputed);
              },
              py::arg("fields"), py::arg("schedule"), py::arg("displacement_bar"), py::arg("velocity_bar"),
-             py::arg("progress") = py::none(), py::arg("hook") = py::none(), py::arg("observer") = py::none());
+             py::arg("progress") = py::none(), py::arg("hook") = py::none(), py::arg("observer") = py::none(),
+             py::arg("reaction_bar") = py::none());
 }
 
 }  // namespace

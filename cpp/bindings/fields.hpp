@@ -30,7 +30,7 @@ std::vector<T> entry(const py::dict& d, const char* key) {
 inline mphygs::Geometry to_geometry(const py::dict& d) {
     reject_unknown(d,
                    {"origin", "spacing", "grid_width", "cell", "part", "points", "sparse", "surface_cell", "surface_points", "surface_area", "place_cell",
-                    "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "part_count"},
+                    "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "hold_centre", "part_count"},
                    "geometry");
     mphygs::Geometry g;
     // (3,) of one grid, or (G, 3) of those that stand beside each other.
@@ -62,6 +62,7 @@ inline mphygs::Geometry to_geometry(const py::dict& d) {
     g.row_target = entry<double>(d, "row_target");
     g.row_hold = entry<std::int32_t>(d, "row_hold");
     g.hold_count = d.contains("hold_count") ? d["hold_count"].cast<int>() : 0;
+    g.hold_centre = entry<double>(d, "hold_centre");
     g.part_count = d.contains("part_count") ? d["part_count"].cast<int>() : 1;
     return g;
 }
@@ -139,11 +140,12 @@ inline std::optional<mphygs::Observer> to_observer(const py::object& given) {
 }
 
 inline mphygs::Schedule to_schedule(const py::dict& d) {
-    reject_unknown(d, {"steps", "dt", "start"}, "schedule");
+    reject_unknown(d, {"steps", "dt", "start", "reaction_weight"}, "schedule");
     mphygs::Schedule s;
     s.steps = entry<int>(d, "steps");
     s.dt = entry<double>(d, "dt");
     s.start = d.contains("start") ? d["start"].cast<double>() : 0.0;
+    s.reaction_weight = entry<double>(d, "reaction_weight");
     return s;
 }
 
@@ -178,11 +180,17 @@ py::dict fields_dict(mphygs::Fields<T>&& fields) {
     return d;
 }
 
+/// (displacement, velocity), and the holds' reactions where they were asked for.
 template <class T>
 py::tuple trajectory_arrays(mphygs::Trajectory<T>&& t, std::size_t nodes) {
     const auto n = static_cast<py::ssize_t>(nodes);
     const auto frames = static_cast<py::ssize_t>(t.displacement.size()) / (3 * n);
-    return py::make_tuple(to_array(std::move(t.displacement), {frames, n, 3}), to_array(std::move(t.velocity), {frames, n, 3}));
+    const auto holds = static_cast<py::ssize_t>(t.reaction.size()) / (6 * frames);
+    py::object displacement = to_array(std::move(t.displacement), {frames, n, 3}), velocity = to_array(std::move(t.velocity), {frames, n, 3});
+    if (holds == 0) {
+        return py::make_tuple(displacement, velocity);
+    }
+    return py::make_tuple(displacement, velocity, to_array(std::move(t.reaction), {frames, holds, py::ssize_t(6)}));
 }
 
 /// Python callable frame -> bool, also polling for Ctrl-C; safe to call without the GIL.

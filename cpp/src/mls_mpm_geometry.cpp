@@ -104,6 +104,7 @@ void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s, const Observer* obs
     };
     const std::size_t count = particle_count(), frames = s.steps.size();
     require(s.dt.size() == frames, "the schedule needs one dt per interval");
+    require(s.reaction_weight.empty(), "MLS-MPM tells no reactions: it imposes velocities");
     for (std::size_t k = 0; k < frames; ++k) {
         require(s.steps[k] > 0 && s.dt[k] > 0, "the schedule's steps and dt must be positive");
     }

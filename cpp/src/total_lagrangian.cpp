@@ -41,6 +41,7 @@ Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>& fields, const Schedu
         TotalLagrangianRun<T, 0> run(*this, inputs, schedule, team);
         const auto keep = [&](std::size_t f) { run.output(0, &result[0].displacement[f * size], &result[0].velocity[f * size]); };
         roll(run, schedule, progress, keep, [&](int f, double time) { return failure(run.displacement(), f, time); });
+        result[0].reaction = run.reaction(0);
     });
     return std::move(result[0]);
 }
@@ -53,6 +54,10 @@ Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>& fields, const Schedule& s
     const std::size_t wanted = (schedule.steps.size() + 1) * 3 * node_count();
     if ((!bar.displacement.empty() && bar.displacement.size() != wanted) || (!bar.velocity.empty() && bar.velocity.size() != wanted)) {
         throw std::invalid_argument("the bar of the trajectory must be (frames + 1, nodes, 3)");
+    }
+    const std::size_t reacting = schedule.reaction_weight.empty() ? 0 : (schedule.steps.size() + 1) * wrench_size * static_cast<std::size_t>(geometry_.hold_count);
+    if (!bar.reaction.empty() && bar.reaction.size() != reacting) {
+        throw std::invalid_argument("the bar of the reactions must be (frames + 1, holds, 6), and the schedule ask for them");
     }
     Fields<T> result;
     Team::run(settings_.threads, [&](Team& team) {

@@ -304,6 +304,11 @@ void TotalLagrangian<T>::check(const Fields<T>& f, const Schedule& s, const Obse
     require_size(f.node_force, 3 * node_count() * frames, true, "node_force");
     require_size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
                  geometry_.hold_count == 0, "pose");
+    const std::size_t holds = static_cast<std::size_t>(geometry_.hold_count);
+    require_size(s.reaction_weight, 2 * static_cast<std::size_t>(s.total_steps()), true, "reaction_weight");
+    if (!s.reaction_weight.empty()) {
+        require_size(geometry_.hold_centre, 3 * holds, false, "hold_centre");
+    }
     require(observer || f.target.empty(), "the fields have a target but there is no observer");
     if (observer) {
         observer->check(node_count(), frames, f.target.size());

@@ -86,6 +86,9 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
                     }
                 };
                 roll(run, schedule, progress, keep, [&](int f, double time) { return failure(run.displacement(), f, time); });
+                for (int l = 0; l < 2; ++l) {
+                    trajectories[static_cast<std::size_t>(l)].reaction = run.reaction(l);
+                }
             });
             return trajectories;
         };
@@ -102,6 +105,10 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
                     }
                 };
                 roll(run, schedule, progress, keep, [&](int f, double time) { return failure(run.value().displacement(), f, time); });
+                trajectories[0].reaction = run.value().reaction(0);
+                for (std::size_t k = 0; k < wanted; ++k) {
+                    trajectories[k + 1].reaction = run.reaction(k);
+                }
             });
             return trajectories;
         });

@@ -43,6 +43,7 @@ struct Geometry {
     std::vector<double> row_target;        // (R, 3) [m]
     std::vector<std::int32_t> row_hold;    // (R,), -1 - j: of the j-th joint's tie, which moves with no hold
     int hold_count = 0;
+    std::vector<double> hold_centre;       // (H, 3) about which torques are told [m]; needed for reactions only
     int part_count = 1;
 
     std::size_t block_count() const { return part.size(); }
@@ -70,6 +71,8 @@ struct Schedule {
     std::vector<int> steps;     // (F,) substeps between output frame f and f + 1
     std::vector<double> dt;     // (F,) substep in that interval [s]
     double start = 0;           // time of the initial state [s]
+    // (substeps, 2) what each counts for in the reactions at the frame before it and at the one after; none: none wanted
+    std::vector<double> reaction_weight = {};
     int total_steps() const {
         int n = 0;
         for (int s : steps) {
@@ -121,6 +124,7 @@ template <class T>
 struct Trajectory {
     std::vector<T> displacement;  // (F + 1, N, 3) [m]
     std::vector<T> velocity;      // (F + 1, N, 3) [m/s]
+    std::vector<double> reaction = {};  // (F + 1, H, 6) what each hold exerts [N, N m], where the schedule asks for it
 };
 
 }  // namespace mphygs

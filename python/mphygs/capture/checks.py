@@ -11,6 +11,7 @@ from mphygs.capture.holds import Hold, Load
 from mphygs.capture.markers import Markers
 from mphygs.capture.overlap import box_meets_solid, distance_to_box, just_inside, winding_number
 from mphygs.capture.record import Capture, Sequence
+from mphygs.capture.sensor_checks import check_sensors
 
 SIZE = (1e-3, 20.0)  # [m] of the object
 DENSITY = (5.0, 25000.0)  # [kg/m^3], from light foam to osmium
@@ -41,6 +42,7 @@ def check_capture(capture: Capture) -> None:
         if sequence.markers is not None:
             _check_markers(f"{where}.markers", capture, sequence, sequence.markers)
             _check_tracks(f"{where}.markers", capture, sequence, sequence.markers)
+        check_sensors(where, capture, sequence)
 
 
 def _check_names(where: str, names: list[str], *, dots: bool) -> None:

@@ -14,6 +14,7 @@ from mphygs.capture.markers import Markers, read_markers
 from mphygs.capture.meshes import Part, read_part
 from mphygs.capture.record import Capture, Known, Sequence
 from mphygs.capture.save import FORMAT, RESTS, STARTS, save_capture
+from mphygs.capture.sensors import Sensor, read_sensors
 
 __all__ = [
     "Capture",
@@ -23,6 +24,7 @@ __all__ = [
     "Load",
     "Markers",
     "Part",
+    "Sensor",
     "Sequence",
     "load_capture",
     "save_capture",
@@ -155,6 +157,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         required=("name", "fps", "frames"),
         optional=(
             "fit", "predict", "held", "loads", "release", "start", "markers", "views", *_UNITS, "first_frame",
+            "sensors",
         ),
     )  # fmt: skip
     name = entry["name"].name()
@@ -174,6 +177,8 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
             raise given.wrong(f"a frame of the file, 0 to {MOST_FRAMES}")
     start = _read_start(entry.get("start"), release)
     held, loads, markers, views = (entry.get(key) for key in ("held", "loads", "markers", "views"))
+    sensors = entry.get("sensors")
+    holds = tuple(read_hold(folder, item, frames) for item in held.elements()) if held else ()
     seen = views_inside(folder, views) if views else None
     return Sequence(
         name=name,
@@ -181,7 +186,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         frames=frames,
         fit=_read_range(entry.get("fit"), frames),
         predict=_read_range(entry.get("predict"), frames),
-        held=tuple(read_hold(folder, item, frames) for item in held.elements()) if held else (),
+        held=holds,
         loads=tuple(read_load(item, frames) for item in loads.elements()) if loads else (),
         release=release,
         markers=read_markers(
@@ -193,6 +198,7 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         views_scale=_read_views_scale(entry, seen),
         first_frame=first,
         start=start,
+        sensors=read_sensors(folder, sensors, frames, len(holds)) if sensors else (),
     )
 
 

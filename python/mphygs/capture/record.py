@@ -10,6 +10,7 @@ import numpy as np
 from mphygs.capture.holds import Hold, Load
 from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
+from mphygs.capture.sensors import Sensor
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Sequence:
     cameras' places; first_frame: of the files' frames, the one that is frame 0, None where it is the first
     and they are no longer; turn: (3, 3) rotation from the frame that the sequence is told in to the one that
     gravity is told in, None where they are one; start: "rest" where the object rests in frame 0, "measured"
-    where it is away from rest or moves then, None: as the first frames show.
+    where it is away from rest or moves then, None: as the first frames show; sensors: other instruments.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Sequence:
     first_frame: int | None = None
     turn: np.ndarray | None = None
     start: str | None = None
+    sensors: tuple[Sensor, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import numpy as np
 from mphygs.capture.checks import check_capture
 from mphygs.capture.meshes import write_mesh
 from mphygs.capture.record import Capture, Sequence
+from mphygs.capture.sensors import FORCE, Sensor
 from mphygs.capture.written import replace_arrays, replace_file
 
 FORMAT = "mphygs-capture/1"
@@ -91,10 +92,27 @@ def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
         document["markers"] = {"file": file, "at": markers.at.tolist(), "sigma": markers.sigma}
         if markers.names:
             document["markers"]["names"] = list(markers.names)
+    if sequence.sensors:
+        document["sensors"] = [
+            _write_sensor(sensor, folder, f"{sequence.name}_sensor{index}.npz")
+            for index, sensor in enumerate(sequence.sensors)
+        ]
     if sequence.views is not None:
         document["views"] = _copy(sequence.views, folder / "views" / sequence.name)
         document |= {} if sequence.views_scale == 1.0 else {"scale": sequence.views_scale}
     return document
+
+
+def _write_sensor(sensor: Sensor, folder: Path, file: str) -> dict[str, object]:
+    values = np.moveaxis(sensor.value, 1, 0)
+    replace_arrays(folder / file, dict(zip(sensor.quantities, values, strict=True)))
+    document: dict[str, object] = {"kind": sensor.kind, "file": file}
+    if sensor.kind == FORCE:
+        document["hold"] = sensor.hold
+    else:
+        document |= {"at": np.asarray(sensor.at).tolist(), "gravity": sensor.gravity}
+    stated = zip(("sigma", "torque_sigma"), sensor.sigma.tolist(), strict=False)
+    return document | {key: sigma for key, sigma in stated if np.isfinite(sigma)}
 
 
 def _copy(source: Path, target: Path) -> str:

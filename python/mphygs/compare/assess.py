@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from mphygs.compare.allowance import Allowance, modulated_directions
 from mphygs.compare.blocks import part_time_blocks
 from mphygs.compare.noise import Observation
+from mphygs.compare.sensed import ComparedSensor
 from mphygs.compare.verdict_floor import Floor, floor_test
 
 # Two bodies discretised differently agree to a few tenths of a standard deviation at best: a misfit of
@@ -36,7 +37,7 @@ class Compared:
     predicted: (T, M, 3) [m]; jacobian: (T, M, 3, P) by the free coordinates; part: (M,) of every marker;
     refinement: (T, M, 3) change of the prediction under refinement, extrapolated, or None;
     fit, predict: frame ranges; tangents_of: spacing of the grid that the Jacobian is of [m], None for the
-    prediction's.
+    prediction's; sensors: other instruments.
     """
 
     observation: Observation
@@ -47,6 +48,7 @@ class Compared:
     predict: tuple[int, int]
     refinement: np.ndarray | None = None
     tangents_of: float | None = None
+    sensors: tuple[ComparedSensor, ...] = ()
 
     @property
     def frames(self) -> tuple[int, int]:
@@ -57,8 +59,11 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """All compared rows, sequences one after the other. seen: rows of frames that were fitted; sigma: (N,) of
-    the noise of each row's sequence [m]."""
+    """All compared rows, the markers of one sequence after the other and then its instruments.
+
+    seen: rows of frames that were fitted; part: of the marker, of an instrument -1 less its number; sigma:
+    (N,) of the noise of each row's sequence [m], NaN where it is of another unit.
+    """
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -99,8 +104,30 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
                 np.full(int(used.sum()), item.observation.sigma),
             )
         )
+        parts += [_sensor_rows(item, k, number) for k in range(len(item.sensors))]
     joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
     return Whitened(*joined, tuple(compared))
+
+
+def _sensor_rows(item: Compared, k: int, number: int) -> tuple:
+    """The columns of `Whitened` for one instrument of a sequence."""
+    own, (first, last) = item.sensors[k], item.frames
+    whitener = own.sensed.whitener(first, last)
+    frame = whitener.frame + first
+    seen = (frame >= item.fit[0]) & (frame < item.fit[1])
+    used = seen | ((frame >= item.predict[0]) & (frame < item.predict[1]))
+    moved = np.zeros_like(own.predicted) if own.refinement is None else own.refinement
+    count = int(used.sum())
+    return (
+        own.sensed.residual(own.predicted, first, last)[used],
+        whitener.whiten(own.jacobian[first:last])[used],
+        whitener.whiten(moved[first:last])[used],
+        np.full(count, -1 - k),
+        frame[used],
+        np.full(count, number),
+        seen[used],
+        np.full(count, np.nan),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +212,15 @@ def assess(
     if not len(whitened.residual):
         raise ValueError("nothing was measured in the frames to compare")
     allowance = discretisation_allowance(whitened)
-    # Parts of every sequence are blocks of their own.
-    label = whitened.sequence * len(part_names) + whitened.part
-    names = [part for _ in whitened.names for part in part_names]
+    # Parts of every sequence, and its instruments, are blocks of their own.
+    sensors = max(len(item.sensors) for item in compared.values())
+    own = np.where(whitened.part < 0, len(part_names) - 1 - whitened.part, whitened.part)
+    label = whitened.sequence * (len(part_names) + sensors) + own
+    names = [
+        text
+        for item in compared.values()
+        for text in (*part_names, *_labels(item), *[""] * (sensors - len(item.sensors)))
+    ]
     blocks = part_time_blocks(label, whitened.frame, names=names, length=block_frames)
     degrees = min((c.observation.noise.scale_degrees for c in compared.values()), default=np.inf)
     floor = floor_test(
@@ -220,6 +253,10 @@ def assess(
         grid=float(np.sqrt(np.mean(share**2))),
         by=by,
     )
+
+
+def _labels(item: Compared) -> list[str]:
+    return [one.sensed.label for one in item.sensors]
 
 
 def _p_value(floor: Floor) -> float:
@@ -266,7 +303,7 @@ def _when(whitened: Whitened, length: int) -> list[dict]:
     """Stretches of frames whose misfit is more than noise, the worst first."""
     found = []
     for number, name in enumerate(whitened.names):
-        mine = whitened.sequence == number
+        mine = (whitened.sequence == number) & (whitened.part >= 0)
         frames = whitened.frame[mine]
         edges = np.arange(frames.min(), frames.max() + 1, length)
         for first in edges:
@@ -325,13 +362,14 @@ def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarra
 
 
 def _budget(whitened: Whitened, share: np.ndarray) -> dict[str, float]:
-    """Root mean squares over markers of the three shares [m]: they add in squares to the misfit.
+    """Root mean squares over markers of the three shares [m]: they add in squares to the markers' misfit.
 
     What neither the discretisation's share, (N,), nor noise covers is physics.
     """
-    variance = whitened.sigma**2
+    markers = whitened.part >= 0
+    variance = whitened.sigma[markers] ** 2
     noise = float(np.mean(variance))
-    beyond = max(float(np.mean(variance * whitened.residual**2)) - noise, 0.0)
-    discretisation = min(float(np.mean(variance * share**2)), beyond)
+    beyond = max(float(np.mean(variance * whitened.residual[markers] ** 2)) - noise, 0.0)
+    discretisation = min(float(np.mean(variance * share[markers] ** 2)), beyond)
     shares = {"noise": noise, "discretisation": discretisation, "physics": beyond - discretisation}
     return {name: float(np.sqrt(3.0 * value)) for name, value in shares.items()}

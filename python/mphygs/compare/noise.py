@@ -12,6 +12,7 @@ from mphygs.capture.record import Sequence
 from mphygs.capture.track_faults.scatter import SeenSigma, own_noise, seen_sigma
 from mphygs.compare.autoregression import Autoregression
 from mphygs.compare.seen import mean_seen
+from mphygs.compare.sensed import Sensed, sensed
 from mphygs.compare.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 
@@ -28,7 +29,7 @@ class Observation:
     """position: (T, M, 3) [m], NaN where missing; noise: of one coordinate.
 
     weight: (M,) 1 for markers in use, 0 for markers left out as outliers; stated: sigma of the capture [m];
-    seen: what the tracks show of it, where that is used.
+    seen: what the tracks show of it, where that is used; sensors: what other instruments measured.
     """
 
     position: np.ndarray
@@ -36,6 +37,7 @@ class Observation:
     weight: np.ndarray
     stated: float | None = None
     seen: SeenSigma | None = None
+    sensors: tuple[Sensed, ...] = ()
     _whiteners: dict = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -78,7 +80,8 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
         raise ValueError(f"sequence '{recording.name}' has no markers")
     position = np.asarray(markers.position, float)
     if markers.spread is not None:
-        return Observation(position, _noise_of_tracks(markers), np.ones(position.shape[1]))
+        noise, whole = _noise_of_tracks(markers), np.ones(position.shape[1])
+        return Observation(position, noise, whole, sensors=sensed(recording))
     rest, what = None, ""
     times = np.arange(recording.frames) / recording.fps
     if recording.release is not None and recording.release >= 20:
@@ -135,7 +138,7 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
         noise = replace(noise, sigma=noise.sigma * own, source=source)
     if markers.offset:
         noise = _with_offset(noise, markers.offset)
-    return Observation(position, noise, np.ones(position.shape[1]), stated, seen)
+    return Observation(position, noise, np.ones(position.shape[1]), stated, seen, sensed(recording))
 
 
 def _stated(markers: Markers) -> float:

@@ -51,7 +51,7 @@ def _stack(
     """Whitened Jacobian columns of all ways over the fitted frames, (N, Q), in the order of the ways, and of
     decoys that are as smooth, (N, DECOYS)."""
     columns = [pair for way in ways for pair in way.columns]
-    blocks, decoys = [], []
+    blocks, decoys, sensors = [], [], []
     for name, (first, last) in problem.ranges.items():
         if report:
             report(f"tangents of {len(columns)} candidate parameters on {name}")
@@ -65,7 +65,11 @@ def _stack(
             decoys.append(whitener.whiten(decoy_tangents(raw, DECOYS, generator=generator)))
         else:
             decoys.append(np.zeros((len(blocks[-1]), DECOYS)))
-    return np.concatenate(blocks), np.concatenate(decoys)
+        for sensor, reading in zip(experiment.observations[name].sensors, prediction.readings, strict=True):
+            sensors.append(sensor.whitener(first, last).whiten(reading.jacobian[first:last]) / slopes)
+    # Decoys move markers alone.
+    decoys += [np.zeros((len(block), DECOYS)) for block in sensors]
+    return np.concatenate([*blocks, *sensors]), np.concatenate(decoys)
 
 
 def _simulable(
@@ -166,7 +170,8 @@ def rank(
         at += count
     known = allowance or Allowance()
     if known.directions is not None:
-        padded = np.vstack([known.directions, np.zeros((len(prior), known.directions.shape[1]))])
+        missing = len(full_residual) - len(known.directions)
+        padded = np.vstack([known.directions, np.zeros((missing, known.directions.shape[1]))])
         known = Allowance(directions=padded)
     table = score_candidates(full_residual, full_jacobian, candidates, generator=generator, allowance=known)
     # Where only thresholds are asked for, or nothing smooth can be told, there is no family.

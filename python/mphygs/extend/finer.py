@@ -200,7 +200,15 @@ def with_tangents(
     def lent_by(grid: float) -> dict[str, Compared]:
         there = experiment.compare(belief, grid)
         return {
-            name: replace(item, jacobian=there[name].jacobian, tangents_of=grid)
+            name: replace(
+                item,
+                jacobian=there[name].jacobian,
+                tangents_of=grid,
+                sensors=tuple(
+                    replace(own, jacobian=other.jacobian)
+                    for own, other in zip(item.sensors, there[name].sensors, strict=True)
+                ),
+            )
             for name, item in compared.items()
         }
 

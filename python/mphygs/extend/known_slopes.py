@@ -33,13 +33,15 @@ def _evaluated(problem: Problem, before: Solution, start: Belief) -> Evaluation 
     if not new or not np.any(slope) or any(known[free[k].key][1].log != free[k].log for k in old):
         return None
     place = {p.key: k for k, p in enumerate(free)}
-    positions, slopes = {}, {}
+    positions, slopes, readings = {}, {}, {}
     for name, (_, last) in problem.ranges.items():
         prediction = problem.predictors[name].predict(start, last=last, keys=new, substep=problem.substep)
         positions[name] = prediction.position
         slopes[name] = np.zeros((*prediction.position.shape, len(free)))
-        slopes[name][..., [place[key] for key in new]] = prediction.jacobian
-    evaluation = problem.evaluated(start, positions, slopes)
+        columns = [place[key] for key in new]
+        slopes[name][..., columns] = prediction.jacobian
+        readings[name] = tuple(reading.with_columns(columns, len(free)) for reading in prediction.readings)
+    evaluation = problem.evaluated(start, positions, slopes, readings=readings)
     if len(slope) != evaluation.data_rows:
         return None  # of other frames
     jacobian = evaluation.jacobian.copy()

@@ -18,6 +18,7 @@ from mphygs.extend.step import FAULT, Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, still_at_minimum
 from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.instruments import Reading
 
 ITERATIONS, REFITTED = 4, 1e-3
 
@@ -90,6 +91,10 @@ def _as_it_is(experiment: Experiment, step: Step) -> Step:
             step.belief,
             {name: item.predicted for name, item in compared.items()},
             {name: item.jacobian for name, item in compared.items()},
+            readings={
+                name: tuple(Reading(one.predicted, one.jacobian) for one in item.sensors)
+                for name, item in compared.items()
+            },
         )
     else:
         evaluation = evaluated(experiment, step.belief, step.spacing, step.lender)

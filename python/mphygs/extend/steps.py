@@ -156,6 +156,10 @@ def _grid_change(step: Step, grid: Problem) -> np.ndarray | None:
     for name, (first, last) in grid.ranges.items():
         whitener = grid.observations[name].whitener(first, last)
         pieces.append(whitener.whiten(np.nan_to_num(step.compared[name].refinement[first:last])))
+    for name, (first, last) in grid.ranges.items():
+        for one in step.compared[name].sensors:
+            moved = np.nan_to_num(one.refinement[first:last])
+            pieces.append(one.sensed.whitener(first, last).whiten(moved))
     return np.concatenate(pieces)
 
 

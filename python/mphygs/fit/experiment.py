@@ -11,6 +11,7 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Assessment, Compared, assess
 from mphygs.compare.noise import Observation, observe
+from mphygs.compare.sensed import ComparedSensor
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
@@ -226,6 +227,10 @@ class Experiment:
                 predictor.attachment.part,
                 fit,
                 predict,
+                sensors=tuple(
+                    ComparedSensor(sensor, _full(r.value, total), _full(r.jacobian, total))
+                    for sensor, r in zip(self.observations[name].sensors, prediction.readings, strict=True)
+                ),
             )
             out[name] = self._refined(name, item, known, spacing, beside) if refine else item
         return out
@@ -252,10 +257,15 @@ class Experiment:
     ) -> Compared:
         other = spacing / REFINEMENT if beside is None else beside
         last = item.frames[1]
-        moved = self.predictor(name, other).predict(belief, last=last).position - item.predicted[:last]
+        prediction = self.predictor(name, other).predict(belief, last=last)
         # Richardson: the whole error is the change over 1 - r^2, r the ratio of the spacings.
-        whole = 1.0 - (other / spacing) ** 2
-        return replace(item, refinement=_full(moved / whole, len(item.predicted)))
+        whole, total = 1.0 - (other / spacing) ** 2, len(item.predicted)
+        sensors = tuple(
+            replace(one, refinement=_full((reading.value - one.predicted[:last]) / whole, total))
+            for one, reading in zip(item.sensors, prediction.readings, strict=True)
+        )
+        moved = prediction.position - item.predicted[:last]
+        return replace(item, refinement=_full(moved / whole, total), sensors=sensors)
 
     def assess(self, compared: Mapping[str, Compared]) -> Assessment:
         """The statistics of a comparison."""

@@ -9,7 +9,7 @@ method for large scale optimization", 1989; both as in torch.optim.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -53,6 +53,18 @@ class _Misfit:
         out[window] = -whitener.whiten_transposed(residual)
         return out
 
+    def reading_slopes(self, read: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The derivatives by what its instruments read, (T, V, 3) each, of half their sum of squares, which
+        is added to the cost."""
+        found, window = [], slice(self.first, self.last)
+        for sensor, value in zip(self.observation.sensors, read, strict=True):
+            residual = sensor.residual(value, self.first, self.last)
+            self.cost += 0.5 * float(residual @ residual)
+            out = np.zeros_like(value)
+            out[window] = -sensor.whitener(self.first, self.last).whiten_transposed(residual)
+            found.append(out)
+        return found
+
 
 def cost_and_gradient(problem: Problem, belief: Belief) -> tuple[float, np.ndarray]:
     """Half the sum of squares of a problem's residuals, and its gradient (P,) by the free coordinates.
@@ -65,8 +77,9 @@ def cost_and_gradient(problem: Problem, belief: Belief) -> tuple[float, np.ndarr
     for name, (first, last) in problem.ranges.items():
         misfit = _Misfit(problem.observations[name], first, last)
         _, part = predict_with_gradient(
-            problem.predictors[name], belief, misfit.slope, keys=keys, last=last, substep=problem.substep
-        )
+            problem.predictors[name], belief, misfit.slope, keys=keys, last=last, substep=problem.substep,
+            reading_slopes=misfit.reading_slopes,
+        )  # fmt: skip
         cost += misfit.cost
         gradient += part
     # Priors and the known mass: few rows, with their own Jacobian.

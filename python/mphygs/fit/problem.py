@@ -1,8 +1,8 @@
-"""The residuals of a fit: whitened markers of several sequences, priors, known mass."""
+"""The residuals of a fit: whitened markers and sensors of several sequences, priors, known mass."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import Event
@@ -11,10 +11,12 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
+from mphygs.compare.sensed import whitened_readings
 from mphygs.compare.whitening import Whitener
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.feedback import Feedback
+from mphygs.simulate.instruments import Reading
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
 
@@ -27,7 +29,8 @@ class Evaluation:
     """Whitened residual (N,), Jacobian (N, P) by the free coordinates, and where the rows come from.
 
     slopes: the Jacobian, or what computes it once it is asked for; data_rows: rows of measurements, the
-    first; prior_rows: rows of priors, right behind them.
+    first, markers before instruments; prior_rows: rows of priors, right behind them; rows: of the markers of
+    every sequence; sensor_rows: of its instruments.
     """
 
     residual: np.ndarray
@@ -37,6 +40,7 @@ class Evaluation:
     rows: dict[str, slice]
     positions: dict[str, np.ndarray]
     substeps: int
+    sensor_rows: dict[str, slice] = field(default_factory=dict)
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -145,6 +149,7 @@ class Problem:
             belief,
             {name: prediction.position for name, prediction in predictions.items()},
             {name: prediction.jacobian for name, prediction in predictions.items()} if jacobian else None,
+            readings={name: prediction.readings for name, prediction in predictions.items()},
             substeps=sum(prediction.substeps for prediction in predictions.values()),
         )
         if jacobian:
@@ -159,13 +164,15 @@ class Problem:
         positions: Mapping[str, np.ndarray],
         jacobians: Mapping[str, np.ndarray] | None,
         *,
+        readings: Mapping[str, Sequence[Reading]] | None = None,
         substeps: int = 0,
     ) -> Evaluation:
         """Residuals and Jacobian at a belief whose prediction is known.
 
         positions: sequence -> (T, M, 3) [m], from the first frame to the last of its range or beyond;
-        jacobians: (T, M, 3, P) by the free coordinates, None for zeros. Raises SimulationError where a
-        prediction is not finite.
+        jacobians: (T, M, 3, P) by the free coordinates, None for zeros; readings: what the sequences'
+        instruments read, with or without derivatives as the markers are. Raises SimulationError where a
+        prediction is not finite, ValueError where sensors have no readings.
         """
         residuals, slopes, rows, count = [], [], {}, 0
         for name, (first, last) in self.ranges.items():
@@ -178,6 +185,18 @@ class Problem:
                 slopes.append(-whitener.whiten(jacobians[name][window]))
             rows[name] = slice(count, count + len(residuals[-1]))
             count += len(residuals[-1])
+        sensor_rows = {}
+        for name, (first, last) in self.ranges.items():
+            sensors = self.observations[name].sensors
+            if not sensors:
+                continue
+            own = (readings or {}).get(name, ())
+            residual, slope = whitened_readings(sensors, own, first, last)
+            residuals.append(residual)
+            if jacobians is not None:
+                slopes.append(-slope)
+            sensor_rows[name] = slice(count, count + len(residual))
+            count += len(residual)
         prior, prior_slope = self.prior_rows(belief)
         residual = np.concatenate([*residuals, prior])
         full = np.zeros((len(residual), len(belief.free)))
@@ -187,7 +206,7 @@ class Problem:
         if not np.isfinite(residual).all():
             raise SimulationError("the prediction is not finite")
         priors = len(belief.free) + len(belief.likenesses)
-        return Evaluation(residual, full, count, priors, rows, dict(positions), substeps)
+        return Evaluation(residual, full, count, priors, rows, dict(positions), substeps, sensor_rows)
 
     def prior_rows(self, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (R,) of the priors and of the stated mass, and their Jacobian (R, P)."""

@@ -255,6 +255,7 @@ def discretise(
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
     geometry.update(_surface(body, boxes, spacing))
     geometry.update(constraint_rows(body, faces, spacing))
+    geometry["hold_centre"] = boxes.mean(axis=1)
     if places is not None and len(places):
         geometry["places"] = np.asarray(places, float)
         geometry["place_cell"] = body.nearest_cell(np.asarray(places, float))

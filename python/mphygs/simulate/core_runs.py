@@ -1,8 +1,8 @@
 """One way to run either transfer of the compiled core.
 
 A trajectory is a tuple of arrays with a first axis of output frames, the initial state included:
-(displacement, velocity) of the nodes for the total-Lagrangian transfer, (position, velocity, deformation) of
-the particles for MLS-MPM.
+(displacement, velocity) of the nodes for the total-Lagrangian transfer, with the reactions of the holds where
+the schedule asks for them; (position, velocity, deformation) of the particles for MLS-MPM.
 """
 
 from __future__ import annotations
@@ -99,5 +99,6 @@ def adjoint(
         _plain(hook)
         return model.adjoint(fields, schedule, tuple(bars), None, _given(observer))[0]
     empty = np.zeros(0, number_of(model))
-    displacement, velocity = (empty if bar is None else bar for bar in bars)
-    return model.adjoint(fields, schedule, displacement, velocity, None, hook, _given(observer))[0]
+    displacement, velocity, *reaction = (empty if bar is None else bar for bar in bars)
+    given = (displacement, velocity, None, hook, _given(observer), *reaction)
+    return model.adjoint(fields, schedule, *given)[0]

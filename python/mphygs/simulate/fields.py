@@ -36,6 +36,15 @@ def point_fields(belief: Belief, body: Body) -> PointFields:
     return material
 
 
+def gravity_of(belief: Belief, body: Body) -> np.ndarray:
+    """(3,) gravity that a belief has act, corrections of it included, in the sequence's frame [m/s^2]."""
+    acting = np.array(belief.gravity, float)
+    for term in belief.terms:
+        if effect(term.name).corrects_gravity:
+            acting = acting + np.array(list(belief.values_of(term.name).values()))
+    return body.towards(acting)
+
+
 def core_effects(belief: Belief) -> tuple[str, ...]:
     """Names of the belief's effects that the compiled core computes."""
     names = [t.name for t in belief.terms if effect(t.name).in_core]

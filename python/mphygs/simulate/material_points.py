@@ -210,7 +210,7 @@ class MaterialPoints(Transfer):
         model: object,
         fields: Arrays,
         schedule: dict,
-        bars: tuple[np.ndarray, np.ndarray],
+        bars: tuple[np.ndarray, ...],
         hook: object | None,
         observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:

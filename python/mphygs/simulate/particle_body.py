@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mphygs.capture.format import Capture
-from mphygs.scene.particles import HoldFace, Quadrature, exposed_surface, fill, hold_face, inside
-from mphygs.scene.slivers import merge_slivers
-from mphygs.simulate.body import LANES, SMALLEST_SHARE, Body, discretise
+from mphygs.scene.particles import HoldFace, Quadrature, exposed_surface, hold_face, inside
+from mphygs.simulate.body import LANES, Body, discretise
+from mphygs.simulate.held_material import enclosed
 
 # Cells behind the face of a clamp that share a node of the quadratic splines with the free material.
 REACH = 2
@@ -134,30 +134,8 @@ def _backing(face: HoldFace, box: np.ndarray, grid: Body) -> tuple[np.ndarray, n
 
 def _slice(capture: Capture, boxes: np.ndarray, number: int, free: Quadrature) -> Quadrature:
     """The material that a hold encloses, of that which no other one does first."""
-    vertices = np.concatenate([part.vertices for part in capture.parts])
-    low, high = vertices.min(0), vertices.max(0)
+    low = np.min([part.vertices.min(0) for part in capture.parts], axis=0)
     shift = np.round((free.origin + 0.5 * free.spacing - low) / free.spacing, 9) % 1.0
-    held = fill(
-        capture.parts,
-        spacing=float(free.spacing[0]),
-        exclude_boxes=np.concatenate([_outside(boxes[number], low, high), boxes[:number]]),
-        origin_offset=shift,
-    )
-    held = merge_slivers(held, share=SMALLEST_SHARE)
+    held = enclosed(capture.parts, boxes, number, float(free.spacing[0]), shift)
     cell = np.rint((held.points.mean(1) - free.origin) / free.spacing).astype(np.int32)
     return replace(held, cell=cell)
-
-
-def _outside(box: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(K, 2, 3) boxes that cover all of [low, high] but a box (2, 3)."""
-    size = high - low
-    around = np.array([low - size - 1.0, high + size + 1.0])
-    slabs = []
-    for axis in range(3):
-        if box[0, axis] > around[0, axis]:
-            slabs.append(around.copy())
-            slabs[-1][1, axis] = box[0, axis]
-        if box[1, axis] < around[1, axis]:
-            slabs.append(around.copy())
-            slabs[-1][0, axis] = box[1, axis]
-    return np.array(slabs).reshape(-1, 2, 3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,6 +13,7 @@ import numpy as np
 from mphygs import _core
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.sensors import FORCE
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
 from mphygs.simulate.batches import Batch, Owned, batches_of
@@ -21,11 +22,13 @@ from mphygs.simulate.carried import Carriers
 from mphygs.simulate.errors import Halted
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.fields import core_effects, direction, places, primal
+from mphygs.simulate.instruments import Instrument, Reading, instrument_of
 from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.measured_start import MeasuredStart, start_numbers, start_sequence
 from mphygs.simulate.measurement import lateness, measured
 from mphygs.simulate.particle_body import discretise_particles
 from mphygs.simulate.prestress import RestShape
+from mphygs.simulate.reactions import reaction_weights
 from mphygs.simulate.scope import belief_of_sequence, in_scope, is_absent, stated_weights
 from mphygs.simulate.settings import MLS, TRANSFERS, Settings, check_effects
 from mphygs.simulate.timeline import Timeline, poses_of, timeline_of
@@ -40,10 +43,10 @@ KEPT = 3
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a model says of a sequence's markers.
+    """What a model says of a sequence's markers and of what its instruments read.
 
     frames: (T,) frame indices; position: (T, M, 3) [m]; velocity: (T, M, 3) [m/s];
-    jacobian: (T, M, 3, K) by the coordinates of `keys`; substeps: number computed.
+    jacobian: (T, M, 3, K) by the coordinates of `keys`; substeps: number computed; readings: of every sensor.
     """
 
     frames: np.ndarray
@@ -53,6 +56,19 @@ class Prediction:
     keys: tuple[str, ...]
     substeps: int
     dt: float
+    readings: tuple[Reading, ...] = ()
+
+    def until(self, last: int) -> Prediction:
+        """The prediction of its frames before `last`."""
+        count = int(np.searchsorted(self.frames, last))
+        readings = tuple(Reading(r.value[:count], r.jacobian[:count]) for r in self.readings)
+        cut = (self.frames[:count], self.position[:count], self.velocity[:count], self.jacobian[:count])
+        return Prediction(*cut, self.keys, self.substeps, self.dt, readings)
+
+    def without_slopes(self) -> Prediction:
+        """The prediction alone."""
+        readings = tuple(Reading(r.value, r.jacobian[..., :0]) for r in self.readings)
+        return replace(self, jacobian=self.jacobian[..., :0], keys=(), readings=readings)
 
 
 class Predictor:
@@ -114,6 +130,11 @@ class Predictor:
         """What carries the sequence's markers."""
         return self.transfer.carriers(self.attachment)
 
+    @cached_property
+    def instruments(self) -> tuple[Instrument, ...]:
+        """What reads the sequence's sensors. Raises ValueError for one that the transfer does not have."""
+        return tuple(instrument_of(s, self.transfer, self.recording) for s in self.recording.sensors)
+
     # ---- models, substeps ---------------------------------------------------------------------
     def model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
         """The compiled model with core effects and effects at spots, (K, 3) [m]."""
@@ -155,6 +176,12 @@ class Predictor:
             late=lateness(belief),
             first=start.frame if start is not None else 0 if measured_start else None,
         )
+
+    def schedule(self, timeline: Timeline) -> dict:
+        """The timeline's, which asks for the reactions of the holds where a sensor reads them."""
+        if not any(sensor.kind == FORCE for sensor in self.recording.sensors):
+            return timeline.schedule
+        return timeline.schedule | {"reaction_weight": reaction_weights(timeline.schedule)}
 
     # ---- fields -------------------------------------------------------------------------------
     def inputs(self, belief: Belief, timeline: Timeline, start: Start | None = None) -> dict[str, np.ndarray]:
@@ -290,7 +317,9 @@ class Predictor:
         if known is not None:
             return known
         dt = substep or self.stable_substep(belief)
-        timeline = self.timeline(belief, last, dt, start)
+        # Instruments are told by the frames to both sides.
+        end = min(last + 1, self.recording.frames) if self.instruments else last
+        timeline = self.timeline(belief, end, dt, start)
         wanted = [(belief, belief[key]) for key in keys] + list(candidates)
         slots = [
             k
@@ -306,20 +335,31 @@ class Predictor:
         jacobian = np.zeros((*position.shape, len(wanted)))
         for slot, tangent in zip(slots, tangents, strict=True):
             jacobian[..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
+        readings = self._readings(belief, states, timeline, wanted, dict(zip(slots, tangents, strict=True)))
         begins = start is None and start_numbers(belief, self.recording.name) is not None
         for slot, (owner, parameter) in enumerate(wanted):
             if parameter.key == f"{self.recording.name}.release_shift" and start is None:
-                jacobian[..., slot] = self._start_slope(belief, parameter, last, dt, position, feedback)
+                later = self._started(belief, parameter, end, dt, feedback)
+                jacobian[..., slot] = (later.position - position) * later.slope
+                for reading, moved in zip(readings, later.readings, strict=True):
+                    reading.jacobian[..., slot] = (moved - reading.value) * later.slope
             if parameter.key == "time_offset.offset" and begins:
                 # What frame 0 shows is the start whenever it was taken: a late clock moves holds and loads.
-                slope = self._start_slope(owner, parameter, last, dt, position, feedback)
-                jacobian[..., slot] = slope - velocity * parameter.slope
+                later = self._started(owner, parameter, end, dt, feedback)
+                jacobian[..., slot] = (later.position - position) * later.slope - velocity * parameter.slope
         times = timeline.frames / self.recording.fps
         position, velocity, jacobian = measured(belief, wanted, times, position, velocity, jacobian)
         names = tuple(p.key for _, p in wanted)
         prediction = Prediction(
-            timeline.frames, position, velocity, jacobian, names, timeline.substeps, timeline.longest
-        )
+            timeline.frames,
+            position,
+            velocity,
+            jacobian,
+            names,
+            timeline.substeps,
+            timeline.longest,
+            readings,
+        ).until(last)
         if whole:
             kept = self._kept if names else self._plain
             kept[:] = [*kept[1 - KEPT :], (belief, last, substep, feedback, prediction)]
@@ -339,7 +379,7 @@ class Predictor:
             if same and keys in ((), prediction.keys):
                 if keys:
                     return prediction
-                return replace(prediction, jacobian=prediction.jacobian[..., :0], keys=())
+                return prediction.without_slopes()
         return None
 
     def states(
@@ -371,15 +411,33 @@ class Predictor:
         b = b - np.trace(b, axis1=-2, axis2=-1)[..., None, None] / 3.0 * np.eye(3)
         return mu * np.sqrt(1.5 * (b * b).sum((-2, -1)))
 
-    def _start_slope(
+    def _readings(
         self,
         belief: Belief,
-        parameter: Parameter,
-        last: int,
-        dt: float,
-        position: np.ndarray,
-        feedback: Feedback | None,
-    ) -> np.ndarray:
+        states: tuple,
+        timeline: Timeline,
+        wanted: Sequence[Owned],
+        tangents: Mapping[int, tuple],
+    ) -> tuple[Reading, ...]:
+        """What the instruments read, and its derivative by the wanted parameters. tangents: of the states, by
+        the parameters' places among them."""
+        found = []
+        for instrument in self.instruments:
+            value = instrument.read(belief, states, timeline)
+            jacobian = np.zeros((*value.shape, len(wanted)))
+            for slot, (owner, parameter) in enumerate(wanted):
+                if slot in tangents:
+                    jacobian[..., slot] = instrument.observe_tangent(tangents[slot], timeline)
+                    jacobian[..., slot] += instrument.direct_slope(owner, parameter, timeline)
+                elif parameter.key == "time_offset.offset":
+                    # A later clock shows what comes next.
+                    jacobian[..., slot] = _rate(value) * self.recording.fps * parameter.slope
+            found.append(Reading(value, jacobian))
+        return tuple(found)
+
+    def _started(
+        self, belief: Belief, parameter: Parameter, last: int, dt: float, feedback: Feedback | None
+    ) -> _Started:
         """By a difference: it moves the schedule's start, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
         if parameter.value + step > parameter.upper:
@@ -388,7 +446,8 @@ class Predictor:
         timeline = self.timeline(moved, last, dt)
         states = self.states(moved, timeline, feedback=feedback)
         later, _ = self.carriers.observe(states, timeline, self.recording)
-        return (later - position) / step * parameter.slope
+        readings = tuple(i.read(moved, states, timeline) for i in self.instruments)
+        return _Started(later, readings, parameter.slope / step)
 
     def _runs(
         self,
@@ -401,13 +460,14 @@ class Predictor:
     ) -> tuple[tuple, list[tuple]]:
         """The states, and their tangent by every owned parameter."""
         observer = None if feedback is None else feedback.observer(timeline)
+        schedule = self.schedule(timeline)
         pull = {} if feedback is None else {"target": feedback.target(belief, timeline)}
         if not owned:
             model = self.model_of(belief)
             fields = self.inputs(belief, timeline, start) | pull
             hook = self._hook(belief, fields)
             self.transfer.share(model, self.workers)
-            run = self.transfer.simulate(model, fields, timeline.schedule, progress, hook, observer=observer)
+            run = self.transfer.simulate(model, fields, schedule, progress, hook, observer=observer)
             return run, []
         for owner, _ in owned:
             check_effects(self.settings.transfer, owner.effects)
@@ -435,7 +495,7 @@ class Predictor:
                 model,
                 fields,
                 batch.directions,
-                timeline.schedule,
+                schedule,
                 progress,
                 hook,
                 batch.apart,
@@ -452,6 +512,21 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
+
+
+@dataclass(frozen=True, eq=False)
+class _Started:
+    """A run that starts a little later: markers (T, M, 3) [m], readings (T, V, 3), and the slope of a
+    coordinate over what the start was moved by."""
+
+    position: np.ndarray
+    readings: tuple[np.ndarray, ...]
+    slope: float
+
+
+def _rate(value: np.ndarray) -> np.ndarray:
+    """Change from frame to frame, (T, ...)."""
+    return np.gradient(value, axis=0) if len(value) > 1 else np.zeros_like(value)
 
 
 def moves_targets(parameter: Parameter) -> bool:

@@ -27,6 +27,7 @@ class TotalLagrangian(Transfer):
 
     batch = 16
     keeps_apart = True
+    reacts = True
 
     @property
     def grid_body(self) -> Body:
@@ -163,7 +164,7 @@ class TotalLagrangian(Transfer):
         model: object,
         fields: Arrays,
         schedule: dict,
-        bars: tuple[np.ndarray, np.ndarray],
+        bars: tuple[np.ndarray, ...],
         hook: object | None,
         observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:

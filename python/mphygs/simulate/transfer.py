@@ -37,12 +37,14 @@ class Transfer(ABC):
     """One object under one set of holds, discretised for one of the core's transfers.
 
     batch: directions that the core carries at once in one run; keeps_apart: whether one of them may have
-    effects of the volume, the surface and the body that the run has not. Its carriers are what the core's
+    effects of the volume, the surface and the body that the run has not; reacts: whether its states tell
+    what the holds exert. Its carriers are what the core's
     trajectory is given at: N nodes or particles.
     """
 
     batch: int
     keeps_apart = False
+    reacts = False
 
     def __init__(self, body: Body, settings: Settings) -> None:
         self.body, self.settings = body, settings
@@ -145,7 +147,10 @@ class Transfer(ABC):
         hook: object | None,
         observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
-        """Displacement [m] and velocity [m/s] of the carriers, (S, N, 3), and what else the transfer has."""
+        """Displacement [m] and velocity [m/s] of the carriers, (S, N, 3), and what else the transfer has.
+
+        Where the schedule asks for them that is the reactions of the holds, (S, H, 6) [N, N m].
+        """
 
     @abstractmethod
     def tangent(
@@ -168,11 +173,12 @@ class Transfer(ABC):
         model: object,
         fields: Arrays,
         schedule: dict,
-        bars: tuple[np.ndarray, np.ndarray],
+        bars: tuple[np.ndarray, ...],
         hook: object | None,
         observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:
-        """Bars of all fields for those of the carriers' displacement and velocity, (S, N, 3)."""
+        """Bars of all fields for those of the carriers' displacement and velocity, (S, N, 3), and, where the
+        schedule asks for them, of the reactions, (S, H, 6)."""
 
     @abstractmethod
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:

@@ -135,7 +135,7 @@ inline void TotalLagrangianDirections<T, L>::hook_forces(double time, double dt)
 
 /// The values' hold, linearised: dv = dv* - d(M^-1) C^T lambda - M^-1 C^T d lambda.
 template <class T, int L>
-inline void TotalLagrangianDirections<T, L>::hold(int n, double dt) {
+inline void TotalLagrangianDirections<T, L>::hold(int n, int frame, double dt) {
     constexpr int N = 3 * static_cast<int>(width);  // columns: component, direction
     const Constraint& constraint = value_.constraint_[0];
     const Geometry& g = model_.geometry_;
@@ -200,6 +200,9 @@ inline void TotalLagrangianDirections<T, L>::hold(int n, double dt) {
             }
         }
         constraint.template solve<N>(missed_.data(), softness, impulse_.data());
+        if (sums_.wanted()) {
+            react(n, frame, s);
+        }
         constraint.template transposed<N>(impulse_.data(), held_.data());
         for (std::size_t k = 0; k < nodes; ++k) {
             const std::size_t node = static_cast<std::size_t>(constraint.nodes()[k]);
@@ -211,6 +214,33 @@ inline void TotalLagrangianDirections<T, L>::hold(int n, double dt) {
                 }
                 v_[s * slab_ + 3 * node + c] -= value_.inverse_mass_[node] * read<W>(change);
             }
+        }
+    }
+}
+
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::react(int n, int frame, std::size_t slab) {
+    constexpr std::size_t N = 3 * width;
+    const std::size_t rows = model_.geometry_.row_count(), holds = static_cast<std::size_t>(model_.geometry_.hold_count);
+    const std::size_t poses = static_cast<std::size_t>(schedule_.total_steps()) + 1;
+    const std::vector<double> turn = value_.turns(0, n);
+    std::vector<double> own(3 * rows), turned(turn.size());
+    for (std::size_t l = 0; l < width && slab * width + l < directions_.size(); ++l) {
+        const std::size_t k = slab * width + l;
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t r = 0; r < rows; ++r) {
+                own[c * rows + r] = impulse_[r * N + c * width + l];
+            }
+        }
+        sums_.add(k, n, frame, own.data(), turn.data());
+        const std::vector<T>& pose = directions_[k]->pose;
+        for (std::size_t h = 0; h < holds && !pose.empty(); ++h) {
+            for (std::size_t i = 0; i < 9; ++i) {
+                turned[9 * h + i] = static_cast<double>(pose[(h * poses + static_cast<std::size_t>(n) + 1) * 12 + i]);
+            }
+        }
+        if (!pose.empty()) {
+            sums_.add(k, n, frame, value_.lambda_rows_.data(), turned.data(), false);
         }
     }
 }

@@ -27,7 +27,7 @@ class TotalLagrangianDirections {
                               int first_direction, const Schedule& schedule, Team& team)
         : model_(model), directions_(std::move(directions)), hook_(hook), observer_(observer), first_direction_(first_direction), schedule_(schedule),
           team_(&team), slabs_((directions_.size() + width - 1) / width), stride_(model.stride_), slab_(3 * model.stride_),
-          value_(model, values_alone(fields), schedule, team) {
+          value_(model, values_alone(fields), schedule, team), sums_(model.geometry_, schedule, directions_.size()) {
         u_.assign(slabs_ * slab_, W{});
         v_ = f_ = u_;
         for (std::size_t s = 0; s < slabs_; ++s) {
@@ -83,7 +83,7 @@ class TotalLagrangianDirections {
         }
         value_.step(n, frame, time, dt, true);
         lighten(dt);
-        hold(n, dt);
+        hold(n, frame, dt);
         const T h = static_cast<T>(dt);
         for (std::size_t i = 0; i < u_.size(); ++i) {
             u_[i] += h * v_[i];
@@ -102,6 +102,9 @@ class TotalLagrangianDirections {
         }
         return good;
     }
+
+    /// What every hold exerts at the output frames, in direction k.
+    std::vector<double> reaction(std::size_t k) const { return sums_.of(k); }
 
     /// Copies direction k of the node state to (N, 3) arrays.
     void output(std::size_t k, T* displacement, T* velocity) const {
@@ -397,7 +400,9 @@ class TotalLagrangianDirections {
         }
     }
 
-    void hold(int n, double dt);
+    void hold(int n, int frame, double dt);
+    /// Adds what the holds exert in a substep to the reactions, in the directions of a slab.
+    void react(int n, int frame, std::size_t slab);
 
     /// How much softer the holds are in a direction.
     T compliance(std::size_t slab, std::size_t lane) const {
@@ -425,6 +430,7 @@ class TotalLagrangianDirections {
     PointHook<T> of_values_;
     PointForces<T> given_;  // by the hook, of the values
     TotalLagrangianRun<T, 0> value_;
+    ReactionSums sums_;
     bool rate_ = false, surface_ = false, volume_added_ = false;
     std::vector<W> u_, v_, f_;                          // slab, node, component
     int aimed_ = -1;                                    // output interval whose targets are in aims_

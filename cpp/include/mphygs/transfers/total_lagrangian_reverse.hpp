@@ -213,6 +213,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             }
         }
         constraint.template apply<N>(at_nodes.data(), s.data());
+        reverse_reaction(n, r, s);
         constraint.template solve<N>(s.data(), softness, q.data());
         constraint.template transposed<N>(q.data(), at_nodes.data());
         for (std::size_t c = 0; c < 3; ++c) {
@@ -245,6 +246,33 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             constraint.sum_per_hold(&r.reactions[c * rows], carried.data());
             for (std::size_t k = 0; k < sums.size(); ++k) {
                 compliance_bar_ += sums[k] * carried[k] / (dt * dt);
+            }
+        }
+    }
+
+    /// What the reactions' bars make of the impulses of a substep, taken off s, (rows, 4), and of the holds' turns.
+    void reverse_reaction(int n, const Record& r, std::vector<double>& s) {
+        if (bar_.reaction.empty()) {
+            return;
+        }
+        const Geometry& g = model_.geometry_;
+        const std::size_t rows = g.row_count(), holds = static_cast<std::size_t>(g.hold_count), frame = index(step_frame_[index(n)]);
+        const std::size_t pose_steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
+        const std::vector<double> turn = run_.turns(0, n);
+        std::vector<double> impulse_bar(3 * rows, 0.0), turn_bar(9 * holds, 0.0);
+        for (std::size_t side = 0; side < 2; ++side) {
+            const double share = schedule_.reaction_weight[2 * index(n) + side] / step_dt_[index(n)];
+            add_wrench_bars(g, r.reactions.data(), turn.data(), share, &bar_.reaction[(frame + side) * holds * wrench_size],
+                            impulse_bar.data(), turn_bar.data());
+        }
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < rows; ++k) {
+                s[4 * k + c] -= impulse_bar[c * rows + k];
+            }
+        }
+        for (std::size_t h = 0; h < holds; ++h) {
+            for (std::size_t i = 0; i < 9; ++i) {
+                pose_bar_[(h * pose_steps + index(n) + 1) * 12 + i] += turn_bar[9 * h + i];
             }
         }
     }

@@ -7,6 +7,7 @@
 
 #include "mphygs/constraint.hpp"
 #include "mphygs/observer_rows.hpp"
+#include "mphygs/reaction.hpp"
 #include "mphygs/team.hpp"
 #include "mphygs/transfers/total_lagrangian_forces.hpp"
 
@@ -24,7 +25,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
 
     /// team: whose threads share the work of a substep.
     TotalLagrangianRun(const Model& model, const Inputs<T, K>& inputs, const Schedule& schedule, Team& team)
-        : Forces(model, inputs), schedule_(schedule), team_(&team) {
+        : Forces(model, inputs), schedule_(schedule), team_(&team), sums_(model.geometry_, schedule, lanes) {
         f_.assign(lanes * size_, T{});
         prepare_mass();
         for (std::size_t c = 0; c < 3; ++c) {
@@ -67,7 +68,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         }
         update_nodes(time, dt);
         add_pulls();
-        hold(n, dt);
+        hold(n, frame, dt);
         const T h = static_cast<T>(dt);
         for (std::size_t i = 0; i < u_.size(); ++i) {
             u_[i] += h * v_[i];
@@ -96,7 +97,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     std::vector<T>& velocity() { return v_; }
     const std::vector<T>& force() const { return f_; }
     std::vector<S>& history() { return history_; }
-    const std::vector<double>& reactions() const { return lambda_rows_; }
+    /// What every hold exerts at the output frames, of the values or of a direction: see `Trajectory`.
+    std::vector<double> reaction(int lane) const { return sums_.of(static_cast<std::size_t>(lane)); }
     const std::vector<T>& mass() const { return mass_; }
     const std::vector<T>& inverse_mass() const { return inverse_mass_; }
     const Constraint& constraint() const { return constraint_[0]; }
@@ -400,13 +402,39 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         return static_cast<double>(fields->pose[(h * steps + static_cast<std::size_t>(step)) * 12 + i]);
     }
 
-    void hold(int n, double dt) {
+    void hold(int n, int frame, double dt) {
         if (constraint_[0].row_count() == 0) {
             return;
         }
         hold_lanes<0, 1>(n, dt);
         if constexpr (lanes > 1) {
             hold_lanes<1, lanes - 1>(n, dt);
+        }
+        if (sums_.wanted()) {
+            react(n, frame);
+        }
+    }
+
+    /// Rotations of all holds at the end of a substep, (holds, 9).
+    std::vector<double> turns(int lane, int n) const {
+        std::vector<double> turn;
+        for (std::size_t h = 0; h < static_cast<std::size_t>(model_.geometry_.hold_count); ++h) {
+            for (std::size_t i = 0; i < 9; ++i) {
+                turn.push_back(pose(lane, h, n + 1, i));
+            }
+        }
+        return turn;
+    }
+
+    /// Adds what the holds exert in a substep to the reactions of the frames around it.
+    void react(int n, int frame) {
+        const std::vector<double> turn = turns(0, n);
+        for (int l = 0; l < lanes; ++l) {
+            const std::size_t lane = static_cast<std::size_t>(l);
+            sums_.add(lane, n, frame, &lambda_rows_[lane * 3 * model_.geometry_.row_count()], turn.data());
+            if (l > 0) {
+                sums_.add(lane, n, frame, lambda_rows_.data(), turns(l, n).data(), false);
+            }
         }
     }
 
@@ -426,6 +454,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     U compliance_{};
     std::vector<double> lambda_rows_;  // lane, component, row: the impulse of each hold row [N s]
     std::vector<double> held_, missed_, impulse_, pull_;  // of the hold's work: (nodes or rows, columns)
+    ReactionSums sums_;
     std::vector<Constraint> constraint_;  // one, built after the masses are known
 };
 
