@@ -125,7 +125,8 @@ def _longer(recording: Recording, factor: float) -> Recording:
     markers = recording.markers
     if markers is not None:
         markers = replace(markers, at=markers.at * factor, position=np.asarray(markers.position) * factor)
-    return replace(recording, held=held, loads=loads, markers=markers)
+    sensors = tuple(s if s.at is None else replace(s, at=s.at * factor) for s in recording.sensors)
+    return replace(recording, held=held, loads=loads, markers=markers, sensors=sensors)
 
 
 def _thicker(part: Part, factor: float) -> Part:

@@ -65,8 +65,12 @@ class SynthOptions(CommonOptions):
     """Frames of each motion."""
     markers: int = 120
     """Number of markers, half inside the object and half on its surface."""
-    known: Literal["first-density", "densities", "mass"] = "first-density"
-    """What the capture tells of the masses: density of the first part, of all parts, or the whole mass."""
+    sensors: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
+    """Instruments beside the markers: force, torque (of the hold, with the force), acceleration (of the tip,
+    gravity included); each may have its noise: force:sigma=0.01."""
+    known: Literal["first-density", "densities", "mass", "none"] = "first-density"
+    """What the capture tells of the masses: density of the first part, of all parts, the whole mass, or
+    nothing."""
     spacing_share: float = 0.62
     """Grid spacing of the truth over that at which the object is worth 250 cells."""
     simulator: Literal["total-lagrangian", "mls", "finite-element"] = "total-lagrangian"
@@ -129,6 +133,7 @@ def _recipe(options: SynthOptions) -> Recipe:
         spacing_share=options.spacing_share,
         known=options.known,
         simulator=options.simulator,
+        sensors=names(options.sensors),
     )
 
 

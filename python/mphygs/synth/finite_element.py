@@ -9,6 +9,7 @@ import numpy as np
 
 from mphygs.capture.format import Capture, Load
 from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.sensors import ACCELERATION, Sensor
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 from mphygs.synth.brick_mesh import SAME, brick_mesh
@@ -258,8 +259,9 @@ class _Body:
 
     def _acceleration(
         self, u: np.ndarray, v: np.ndarray, time: float, dt: float, driven: np.ndarray
-    ) -> np.ndarray:
-        """(N, 3) [m/s^2]; driven: (H, 3) of the nodes in the hold."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 3) [m/s^2], and what the hold exerts on each of its nodes, (H, 3) [N]; driven: (H, 3) of
+        these."""
         x = self.mesh.nodes + u
         force = self._inside(u, v, time, dt) + self._outside(x, v, time, self.effects)
         for pull, begin, end in self.loads:
@@ -278,7 +280,7 @@ class _Body:
             share = np.where(self.held, 0.0, n / self.mass)
             pull = self._body_field(n @ v, time, self.effects) - n @ result
             result += np.outer(share, mass * pull / (1.0 + mass * (n @ share)))
-        return result
+        return result, self.mass[self.held, None] * driven - force[self.held]
 
     def _pressing(self, x: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """(N, 1) [N] with which the wall presses on every node."""
@@ -328,11 +330,15 @@ class _Body:
         u, v = np.zeros_like(mesh.nodes), np.zeros_like(mesh.nodes)
         position = np.repeat(places[None], recording.frames, axis=0)
         velocity = np.zeros_like(position)
+        readings = tuple(np.full_like(sensor.value, np.nan) for sensor in recording.sensors)
         for k in range(len(times) - 1):
             half = 0.5 if k == 0 else 1.0
             carried = gripped @ rotation[k + 1].T + shift[k + 1] - gripped
             driven = ((carried - u[self.held]) / dt - v[self.held]) / (half * dt)
-            kick = self._acceleration(u, v, times[k], dt, driven)
+            kick, pulls = self._acceleration(u, v, times[k], dt, driven)
+            if k % steps == 0:
+                for sensor, reading in zip(recording.sensors, readings, strict=True):
+                    reading[first + k // steps] = self._read(sensor, kick, pulls, u, rotation[k], shift[k])
             late = v + half * dt * kick
             moved = u + dt * late
             if (k + 1) % steps == 0:
@@ -346,7 +352,30 @@ class _Body:
                     progress(frame - first)
             u, v = moved, late
         self._carry(places, position, velocity)
-        return Motion(position, velocity, ~self._in_hold(places), len(times) - 1)
+        return Motion(position, velocity, ~self._in_hold(places), len(times) - 1, readings)
+
+    def _read(
+        self,
+        sensor: Sensor,
+        acceleration: np.ndarray,
+        pulls: np.ndarray,
+        u: np.ndarray,
+        rotation: np.ndarray,
+        shift: np.ndarray,
+    ) -> np.ndarray:
+        """(V, 3) what a sensor reads.
+
+        acceleration: (N, 3) [m/s^2] and displacement u: (N, 3) [m] of the nodes; pulls: (H, 3) of the hold on
+        its nodes [N]; rotation: (3, 3), shift: (3,) its pose.
+        """
+        if sensor.kind == ACCELERATION:
+            read = self.mesh.weights(sensor.at[None]) @ acceleration
+            felt = {n: v for n, v in self.effects.items() if n == "gravity"}
+            return read - self._body_field(np.zeros(3), 0.0, felt) if sensor.gravity else read
+        centre = rotation @ np.asarray(self.hold.box, float).mean(axis=0) + shift
+        arm = (self.mesh.nodes + u)[self.held] - centre
+        both = np.stack([pulls.sum(axis=0), np.cross(arm, pulls).sum(axis=0)])
+        return both[: sensor.value.shape[1]]
 
     def _carry(self, places: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
         """Markers on what is held follow it rigidly."""

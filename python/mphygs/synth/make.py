@@ -16,6 +16,7 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
+from mphygs.synth.instruments import measured, unmeasured
 from mphygs.synth.markers import measure, place_markers
 from mphygs.synth.recipe import Recipe, Take, truth_spacing
 from mphygs.synth.shapes import Shape
@@ -69,7 +70,10 @@ def make_capture(
             outliers[take.name] = lost.tolist()
         # Noise of its own seed: the same with and without a fault that draws numbers.
         tracks = measure(seen, recipe.noise, np.random.default_rng([recipe.seed, 4, number]))
-        recordings.append(replace(recording, markers=Markers(tracks, places, recipe.noise.sigma)))
+        draw = np.random.default_rng([recipe.seed, 5, number])
+        sensors = measured(recording, motion.readings, offset, draw)
+        markers = Markers(tracks, places, recipe.noise.sigma)
+        recordings.append(replace(recording, markers=markers, sensors=sensors))
         if compared:
             plain = motion.position[: take.frames]
             if physics:
@@ -117,7 +121,7 @@ def _bare_capture(recipe: Recipe, folder: Path, places: np.ndarray) -> Capture:
     shape = recipe.shape
     ratios = {name: material.poissons_ratio for name, material in recipe.materials.items()}
     same = len(set(ratios.values())) == 1
-    stated = {"first-density": shape.part_names[:1], "densities": shape.part_names, "mass": ()}[recipe.known]
+    stated = {"first-density": shape.part_names[:1], "densities": shape.part_names}.get(recipe.known, ())
     known = Known(
         density={name: recipe.materials[name].density for name in stated},
         poissons_ratio=next(iter(ratios.values())) if same else ratios,
@@ -153,7 +157,10 @@ def _shown(recipe: Recipe, take: Take, places: np.ndarray) -> Recording:
     if not hold.is_fixed:
         hold = Hold(hold.box, hold.position[take.cut :], hold.quaternion[take.cut :])
     markers = replace(recording.markers, position=recording.markers.position[take.cut :])
-    return replace(recording, frames=take.frames, held=(hold,), markers=markers, release=None)
+    sensors = tuple(replace(one, value=one.value[take.cut :]) for one in recording.sensors)
+    return replace(
+        recording, frames=take.frames, held=(hold,), markers=markers, release=None, sensors=sensors
+    )
 
 
 def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -> Recording:
@@ -173,6 +180,7 @@ def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -
         held=(hold,),
         release=take.release,
         markers=unseen,
+        sensors=unmeasured(recipe.sensors, shape, frames),
     )
 
 
@@ -239,6 +247,7 @@ def _answer(
         "object": {"shape": recipe.shape.name},
         "sigma": recipe.noise.sigma,
         "noise": asdict(recipe.noise),
+        "sensors": dict(recipe.sensors),
         "seed": recipe.seed,
         "markers": recipe.marker_count,
         "motions": [[asdict(m) for m in take.motions] for take in recipe.takes],

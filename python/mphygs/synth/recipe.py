@@ -10,11 +10,12 @@ import numpy as np
 from mphygs.capture.motions import Motion
 from mphygs.simulate.settings import TRANSFERS
 from mphygs.synth.hidden import Hidden, parse
+from mphygs.synth.instruments import parse_sensors
 from mphygs.synth.markers import Noise
 from mphygs.synth.shapes import Shape, shape
 
 SIMULATORS = (*TRANSFERS, "finite-element")
-KNOWN = ("first-density", "densities", "mass")
+KNOWN = ("first-density", "densities", "mass", "none")
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class Recipe:
 
     spacing_share: of the spacing at which the object is worth TRUTH_CELLS cells, at which the truth is
     simulated (see `truth_spacing`); known: what the capture states beside Poisson's ratio, the density of the
-    first part, of all parts, or the mass of the object.
+    first part, of all parts, or the mass of the object; sensors: kind -> standard deviation, see
+    `mphygs.synth.instruments`.
     simulator: a transfer of the core, "total-lagrangian" or "mls", or "finite-element" for code that shares
     nothing with the model fitted and takes objects of boxes; its bricks are at most twice the spacing, having
     three nodes each way.
@@ -84,6 +86,7 @@ class Recipe:
     spacing_share: float = 0.62
     known: str = "first-density"
     simulator: str = "total-lagrangian"
+    sensors: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.simulator not in SIMULATORS:
@@ -187,8 +190,10 @@ def recipe(
     sizes: Mapping[str, float] | None = None,
     known: str = "first-density",
     simulator: str = "total-lagrangian",
+    sensors: tuple[str, ...] = (),
 ) -> Recipe:
-    """A recipe from names. kind: as in shapes; hidden: each `name` or `name:key=value:...`.
+    """A recipe from names. kind: as in shapes; hidden: each `name` or `name:key=value:...`; sensors: each
+    `kind` or `kind:sigma=value`.
 
     Raises ValueError for unknown kinds, names and keys, and for something hidden twice.
     """
@@ -211,4 +216,5 @@ def recipe(
         spacing_share=spacing_share,
         known=known,
         simulator=simulator,
+        sensors=parse_sensors(sensors, body, mass * float(np.linalg.norm(body.gravity))),
     )

@@ -21,17 +21,19 @@ from mphygs.synth.recipe import Recipe
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Markers in all frames: position (T, M, 3) [m], velocity (T, M, 3) [m/s]; movable: (M,)
-    bool, not carried by a hold; substeps: number computed."""
+    """Markers in all frames: position (T, M, 3) [m], velocity (T, M, 3) [m/s]; movable: (M,) bool, not
+    carried by a hold; substeps: number computed; readings: (T, V, 3) of each of the recording's sensors."""
 
     position: np.ndarray
     velocity: np.ndarray
     movable: np.ndarray
     substeps: int
+    readings: tuple[np.ndarray, ...] = ()
 
     def after(self, cut: int) -> Motion:
         """The motion from a frame on."""
-        return replace(self, position=self.position[cut:], velocity=self.velocity[cut:])
+        readings = tuple(value[cut:] for value in self.readings)
+        return replace(self, position=self.position[cut:], velocity=self.velocity[cut:], readings=readings)
 
 
 def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> Belief:
@@ -70,7 +72,11 @@ def simulate(
     predictor = CausedPredictor(capture, recording, settings, causes)
     prediction = predictor.predict(belief, progress=progress)
     return Motion(
-        prediction.position, prediction.velocity, predictor.attachment.hold < 0, prediction.substeps
+        prediction.position,
+        prediction.velocity,
+        predictor.attachment.hold < 0,
+        prediction.substeps,
+        tuple(reading.value for reading in prediction.readings),
     )
 
 
