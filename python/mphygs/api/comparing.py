@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from mphygs.api.calls import CaptureLike, Home, Progress, RunLike, call, comma, folder_of, home_of, json_of
 from mphygs.api.errors import InputError
-from mphygs.api.results import Error, Row, Table, error_rows, errors_of
+from mphygs.api.results import Error, Row, Table, error_rows, errors_of, sensor_rows
 from mphygs.capture.format import Capture
 from mphygs.compare.__main__ import CompareOptions, held_against, picture_of
 from mphygs.compare.assess import Compared, in_words
+from mphygs.compare.sensor_pictures import sensor_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,6 +45,11 @@ class Comparison(Table):
         """Errors by sequence, on frames fitted, on others, and on all."""
         return errors_of(self.document["sequences"])
 
+    @property
+    def sensors(self) -> list[Row]:
+        """One row an instrument's quantity and range of frames: rms and max in its unit, rms over sigma."""
+        return sensor_rows(self.document.get("sensors", {}))
+
     def title(self) -> str:
         """The verdict in words."""
         return f"the misfit is {in_words(self.adequate, self.p_value)} (p = {self.p_value:.2g})"
@@ -60,6 +66,17 @@ class Comparison(Table):
             known = ", ".join(self.compared)
             raise InputError(f"sequence '{name}' was not compared; expected one of {known}")
         return picture_of(self.capture, name, self.compared[name])
+
+    def plot_sensors(self, sequence: str | None = None) -> Figure:
+        """What the instruments of one sequence measured and what is predicted, by default of the first that
+        has any. Raises InputError where there are none."""
+        having = [name for name, item in self.compared.items() if item.sensors]
+        name = sequence if sequence is not None else next(iter(having), None)
+        if name not in having:
+            known = f"one of {', '.join(having)}" if having else "a capture with sensors"
+            what = "no sequence" if sequence is None else f"sequence '{sequence}'"
+            raise InputError(f"{what} has sensors that were compared; expected {known}")
+        return sensor_figure(self.compared[name], name=name, fps=self.capture.sequence(name).fps)
 
 
 def compare(

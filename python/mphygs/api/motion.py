@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +24,8 @@ SHOWN = 4
 @dataclass(frozen=True, eq=False)
 class Motion(Table):
     """name: of the sequence; times: (T,) [s]; position: (T, M, 3) [m]; velocity: (T, M, 3) [m/s];
-    substeps: that were computed, substep: the longest of them [s]."""
+    substeps: that were computed, substep: the longest of them [s]; readings: by instrument of the sequence,
+    (T, V, 3): force [N] and torque [N m] of a hold, or an acceleration [m/s^2]."""
 
     name: str
     times: NDArray[np.float64]
@@ -31,6 +33,7 @@ class Motion(Table):
     velocity: NDArray[np.float64]
     substeps: int
     substep: float
+    readings: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def title(self) -> str:
         """How much was simulated."""
@@ -91,4 +94,5 @@ def simulate(
         found.velocity,
         found.substeps,
         float(found.dt),
+        {s.label: r.value for s, r in zip(recording.sensors, found.readings, strict=True)},
     )

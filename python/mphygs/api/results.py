@@ -93,6 +93,26 @@ def error_rows(sequences: Mapping[str, Mapping[str, Error | None]]) -> list[Row]
     ]
 
 
+def sensor_rows(sensors: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Row]:
+    """A row for every quantity of an instrument and range of frames with something measured, from a
+    document."""
+    return [
+        {
+            "sequence": name,
+            "sensor": entry["sensor"],
+            "quantity": entry["quantity"],
+            "unit": entry["unit"],
+            "sigma": entry["sigma"],
+            "frames": label,
+            **error,
+        }
+        for name, entries in sensors.items()
+        for entry in entries
+        for label in RANGES
+        if (error := entry.get(label)) is not None
+    ]
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A fitted number. std: standard error, in the value's unit; determined: whether the data tell it, note:

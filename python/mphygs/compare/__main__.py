@@ -19,8 +19,11 @@ from mphygs.claim import PICTURES, claim_output, kept_inside
 from mphygs.command import Answer, CommonOptions, Console, check_gain, names, plain, run
 from mphygs.compare.assess import Assessment, Compared, in_words
 from mphygs.compare.image_errors import image_table, joined
+from mphygs.compare.metrics import sensors_document
 from mphygs.compare.pictures import save_figure, sequence_figure
 from mphygs.compare.roughness import doubted_sigma
+from mphygs.compare.sensed import sensor_lines
+from mphygs.compare.sensor_pictures import sensor_figure
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import chosen_names, errors_of, experiment_of, feedback_document, pictured_of
 from mphygs.fit.run import load_run
@@ -113,8 +116,10 @@ def comparison_document(
     experiment: Experiment, compared: Mapping[str, Compared], assessment: Assessment
 ) -> dict[str, object]:
     """The JSON of a comparison."""
+    sensors = sensors_document(compared)
     return {
         "sequences": errors_of(experiment, compared),
+        **({"sensors": sensors} if sensors else {}),
         "adequate": assessment.adequate,
         "p_value": assessment.p_value,
         "where": assessment.where,
@@ -124,11 +129,15 @@ def comparison_document(
 
 
 def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path) -> list[Path]:
-    """One picture per sequence."""
+    """One picture per sequence, and one of its instruments."""
     paths = []
     for name, item in compared.items():
         paths.append(folder / f"{name}.png")
         save_figure(picture_of(experiment.capture, name, item), paths[-1])
+        if item.sensors:
+            paths.append(folder / f"{name}-sensors.png")
+            fps = experiment.capture.sequence(name).fps
+            save_figure(sensor_figure(item, name=name, fps=fps), paths[-1])
     return paths
 
 
@@ -147,6 +156,8 @@ def picture_of(capture: Capture, name: str, compared: Compared) -> Figure:
 
 def _text(document: Mapping[str, object]) -> str:
     lines: list[str] = [errors_text(document["sequences"]), ""]
+    if document.get("sensors"):
+        lines += [table(sensor_lines(document["sensors"])), ""]
     if document.get("films"):
         lines += [table(image_table(document["sequences"])), ""]
     if document.get("feedback"):

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from mphygs.compare.assess import Compared
+from mphygs.compare.sensed import sensor_errors
 
 RANGES = ("fit", "predict", "all")
 
@@ -49,6 +50,15 @@ def frame_masks(compared: Compared) -> dict[str, np.ndarray]:
     frames = np.arange(len(compared.predicted))
     fit, predict = ((frames >= first) & (frames < last) for first, last in (compared.fit, compared.predict))
     return {"fit": fit, "predict": predict & ~fit, "all": fit | predict}
+
+
+def sensors_document(compared: Mapping[str, Compared]) -> dict[str, list[dict[str, object]]]:
+    """Errors of the instruments of those sequences that have any, see `sensor_errors`."""
+    return {
+        name: sensor_errors(item.sensors, frame_masks(item))
+        for name, item in compared.items()
+        if item.sensors
+    }
 
 
 def sequence_errors(

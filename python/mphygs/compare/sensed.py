@@ -134,6 +134,21 @@ def sensor_errors(
     return out
 
 
+def sensor_lines(document: Mapping[str, Sequence[Mapping[str, object]]]) -> list[list[str]]:
+    """Rows of a table, its head first. document: by sequence, as of `sensor_errors`."""
+    rows = [["sequence", "sensor", "frames", "rms", "max", "unit", "rms / sigma", "readings"]]
+    for name, entries in document.items():
+        for entry in entries:
+            what = str(entry["sensor"])
+            what += "" if what.startswith(str(entry["quantity"])) else f", {entry['quantity']}"
+            for label in ("fit", "predict", "all"):
+                if error := entry.get(label):
+                    numbers = [f"{error['rms']:.4g}", f"{error['max']:.4g}", str(entry["unit"])]
+                    last = [f"{error['rms_over_sigma']:.3f}", str(error["count"])]
+                    rows.append([name, what, label, *numbers, *last])
+    return rows
+
+
 def _error(distance: np.ndarray, sigma: float) -> dict[str, float] | None:
     """Of distances (N,), NaN where not measured."""
     distance = distance[np.isfinite(distance)]

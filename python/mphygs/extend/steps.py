@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mphygs.compare.assess import grid_shift
+from mphygs.compare.metrics import sensors_document
 from mphygs.extend.finer import compared_at, compared_by, evaluated
 from mphygs.extend.step import FAULT, Step, known_budget
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
@@ -175,6 +176,7 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
         "added": list(step.added),
         "ties": list(step.ties),
         "sequences": errors_of(experiment, step.compared),
+        **({"sensors": sensors} if (sensors := sensors_document(step.compared)) else {}),
         "adequate": step.assessment.adequate,
         "p_value": step.assessment.p_value,
         "grid": step.assessment.grid if known_budget(step) else None,
@@ -247,10 +249,24 @@ def steps_text(steps: Sequence[Mapping[str, object]]) -> list[str]:
                 if error is not None and label != "all"
             ]
             lines.append(f"  {name}: {', '.join(errors)}")
+            lines += _sensor_lines(step.get("sensors", {}).get(name, ()))
         if step["added"]:
             for key, entry in step["parameters"].items():
                 if key.rsplit(".", 1)[0] in step["added"]:
                     lines.append(f"  {key} = {entry['value']:.4g} +- {entry['std']:.2g} {entry['unit']}")
         if step["ties"]:
             lines.append(f"  not told apart from: {', '.join(step['ties'])}")
+    return lines
+
+
+def _sensor_lines(entries: Sequence[Mapping[str, object]]) -> list[str]:
+    """The same of the instruments of a sequence."""
+    lines = []
+    for entry in entries:
+        errors = [
+            f"{label} {error['rms']:.3g} {entry['unit']} ({error['rms_over_sigma']:.2f} sigma)"
+            for label in ("fit", "predict")
+            if (error := entry[label]) is not None
+        ]
+        lines.append(f"    {entry['sensor']}, {entry['quantity']}: {', '.join(errors)}")
     return lines

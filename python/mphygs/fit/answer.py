@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 
 from mphygs.capture.format import Capture
 from mphygs.compare.image_errors import image_table, joined
+from mphygs.compare.metrics import sensors_document
 from mphygs.compare.noise import noise_document, noise_lines
+from mphygs.compare.sensed import sensor_lines
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_document
 from mphygs.fit.of_run import errors_of, pictured_of
@@ -41,6 +43,8 @@ def answer_of(
     more = {} if stages is None else {"stages": dict(stages)}
     if starts := starts_document(experiment.capture, state.belief):
         more["starts"] = starts
+    if sensors := sensors_document(compared):
+        more["sensors"] = sensors
     parameters = parameters_of(state, found)
     return more | {
         "run": str(state.folder),
@@ -73,6 +77,8 @@ def answer_text(state: Run, capture: Capture, *, embedded: bool) -> str:
     """The same for people, and what to run next. embedded: whether the capture was made on the spot."""
     answer = state.answer
     lines = [parameters_text(answer["parameters"]), "", errors_text(answer["sequences"]), ""]
+    if answer.get("sensors"):
+        lines += [table(sensor_lines(answer["sensors"])), ""]
     lines[-1:] = [*noise_lines(answer.get("noise", {})), ""]
     if answer.get("feedback"):
         lines += feedback_lines(answer["feedback"])

@@ -34,6 +34,7 @@ from mphygs.report.models import (
     vertices_for,
 )
 from mphygs.report.page import page
+from mphygs.report.sensor_chart import sensors_chart
 from mphygs.report.skin import skin_of
 
 PROGRAM = "mphygs report"
@@ -107,6 +108,7 @@ def report(options: ReportOptions, console: Console) -> Answer:
         force=missing_force_text(told, state.capture, state.folder) if told else (),
         steps=steps,
         hidden=[name for name in wanted if name not in shown],
+        sensors=sensors_chart(compared, {s.name: s.fps for s in experiment.capture.sequences}),
     )
     replace_file(out, page(contents))
     return Answer({"run": str(state.folder), "report": str(out)}, f"report: {out}")

@@ -15,7 +15,8 @@ class Contents:
 
     parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run; scene:
     see `scene_document`; films: video beside rendering by sequence; commands: that made it; force: what is
-    said of the missing force, line by line; hidden: sequences that the scene has no room for.
+    said of the missing force, line by line; hidden: sequences that the scene has no room for; sensors: chart
+    of what instruments measured, None where there are none.
     """
 
     run: Run
@@ -29,3 +30,4 @@ class Contents:
     steps: Mapping[str, object] | None = None
     force: Sequence[str] = ()
     hidden: Sequence[str] = ()
+    sensors: Mapping[str, object] | None = None

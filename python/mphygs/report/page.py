@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
+from mphygs.compare.sensed import sensor_lines
 from mphygs.report import charts
 from mphygs.report.contents import Contents
 from mphygs.report.evidence import parameters, ranking
@@ -20,6 +21,7 @@ def page(contents: Contents) -> str:
         ("fall", "How the error fell", _fall(contents, figures)),
         ("object", "The object", _object(contents)),
         ("moments", "Which marker, which frame", _moments(contents)),
+        ("sensors", "Forces and accelerations", _sensors(contents, figures)),
         ("ranking", "What could be missing", ranking(contents, figures)),
         ("parameters", "The numbers found", parameters(contents, figures)),
         ("budget", "Where the error comes from", _budget(contents, figures)),
@@ -120,6 +122,21 @@ def _moments(contents: Contents) -> str:
     return (
         f'<p class="quiet">{words}</p>{chart("chart-heat", "error by marker and frame")}'
         f"{chart('chart-curves', 'two markers over time')}{_when(contents.comparison)}"
+    )
+
+
+def _sensors(contents: Contents, figures: list) -> str:
+    if contents.sensors is None:
+        return ""
+    figures.append(dict(contents.sensors))
+    head, *rows = sensor_lines(contents.comparison.get("sensors", {}))
+    words = (
+        "Marks are measured, lines predicted, shaded frames were fitted. A force is what the hold exerts on "
+        "the object, a torque that about the centre of its box."
+    )
+    return (
+        f'<p class="quiet">{words}</p>{chart("chart-sensors", "what instruments measured, and predicted")}'
+        + folded("how far off as a table", table(head, rows))
     )
 
 
