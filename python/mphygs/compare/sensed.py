@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import comb
 
 import numpy as np
@@ -21,13 +21,19 @@ LEAST = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
-    """One instrument's measurement. label: its name; quantities: of its V vectors; value: (T, V, 3), NaN
-    where it was not measured or no model tells it; noise: of one coordinate, by vector."""
+    """One instrument's measurement.
+
+    label: its name; quantities: of its V vectors; value: (T, V, 3), NaN where it was not measured or no model
+    tells it; noise: of one coordinate, by vector; grid: (V,) standard deviation of what a simulation gets
+    wrong of it, which counts as noise as well. Markers hardly need that: forces and accelerations are mostly
+    of fast modes of motion, which grids have worst.
+    """
 
     label: str
     quantities: tuple[str, ...]
     value: np.ndarray
     noise: NoiseModel
+    grid: np.ndarray | float = 0.0
     _whiteners: dict = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -44,7 +50,8 @@ class Sensed:
         """Whitening of frames [first, last)."""
         key = (first, last)
         if key not in self._whiteners:
-            self._whiteners[key] = Whitener(self.noise, np.isfinite(self.value[first:last]).all(2))
+            noise = NoiseModel.white(np.hypot(self.sigma, self.grid), self.noise.source)
+            self._whiteners[key] = Whitener(noise, np.isfinite(self.value[first:last]).all(2))
         return self._whiteners[key]
 
     def residual(self, predicted: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -118,6 +125,17 @@ def whitened_readings(
     return np.concatenate(residuals), np.concatenate(slopes)
 
 
+def with_grid(sensors: Sequence[Sensed], errors: Sequence[np.ndarray]) -> tuple[Sensed, ...]:
+    """Sensors that count a grid's error as noise. errors: of each, (T, V, 3), of what is read of a model."""
+    out = []
+    for sensor, error in zip(sensors, errors, strict=True):
+        told = np.isfinite(sensor.value[: len(error)]).all(2)
+        square = np.where(told[..., None], error, 0.0) ** 2
+        count = 3 * np.maximum(told.sum(0), 1)
+        out.append(replace(sensor, grid=np.sqrt(square.sum(axis=(0, 2)) / count)))
+    return tuple(out)
+
+
 def sensor_errors(
     sensors: Sequence[ComparedSensor], frames: Mapping[str, np.ndarray]
 ) -> list[dict[str, object]]:
@@ -130,20 +148,23 @@ def sensor_errors(
             sigma = float(one.sensed.sigma[v])
             entry = {"sensor": one.sensed.label, "quantity": quantity, "unit": unit, "sigma": sigma}
             entry["noise"] = one.sensed.noise.source
+            entry["grid"] = float(np.broadcast_to(one.sensed.grid, one.sensed.sigma.shape)[v])
             out.append(entry | {label: _error(distance[mask], sigma) for label, mask in frames.items()})
     return out
 
 
 def sensor_lines(document: Mapping[str, Sequence[Mapping[str, object]]]) -> list[list[str]]:
-    """Rows of a table, its head first. document: by sequence, as of `sensor_errors`."""
-    rows = [["sequence", "sensor", "frames", "rms", "max", "unit", "rms / sigma", "readings"]]
+    """Rows of a table, its head first; grid: rms of what it gets wrong. document: by sequence, as of
+    `sensor_errors`."""
+    rows = [["sequence", "sensor", "frames", "rms", "max", "grid", "unit", "rms / sigma", "readings"]]
     for name, entries in document.items():
         for entry in entries:
             what = str(entry["sensor"])
             what += "" if what.startswith(str(entry["quantity"])) else f", {entry['quantity']}"
             for label in ("fit", "predict", "all"):
                 if error := entry.get(label):
-                    numbers = [f"{error['rms']:.4g}", f"{error['max']:.4g}", str(entry["unit"])]
+                    numbers = [f"{x:.4g}" for x in (error["rms"], error["max"], 3**0.5 * entry["grid"])]
+                    numbers.append(str(entry["unit"]))
                     last = [f"{error['rms_over_sigma']:.3f}", str(error["count"])]
                     rows.append([name, what, label, *numbers, *last])
     return rows

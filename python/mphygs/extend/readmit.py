@@ -30,10 +30,11 @@ def readmitted(experiment: Experiment, step: Step, report: Callable[[str], None]
     """
     say = report or (lambda _text: None)
     whole = {
-        name: observe(
-            experiment.capture.sequence(name), experiment.predictor(name, step.spacing).attachment
+        name: replace(
+            observe(experiment.capture.sequence(name), experiment.predictor(name, step.spacing).attachment),
+            sensors=known.sensors,
         )
-        for name in experiment.observations
+        for name, known in experiment.observations.items()
     }
     left_out = 0
     for name, item in step.compared.items():

@@ -34,7 +34,8 @@ def on_all_frames(experiment: Experiment) -> Experiment:
     for name in experiment.compared_names():
         spans = [s for s in (experiment.fitted.get(name), experiment.unseen(name)) if s and s[1] > s[0]]
         fitted[name] = (min(a for a, _ in spans), max(b for _, b in spans))
-    return Experiment(experiment.capture, experiment.settings, fitted, experiment.observations)
+    known = (experiment.capture, experiment.settings, fitted, experiment.observations)
+    return Experiment(*known, reference=experiment.reference)
 
 
 def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:

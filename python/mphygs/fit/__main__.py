@@ -134,7 +134,7 @@ def fitted(
         check_options(options)
         state, capture = _new(options, console)
     settings = replace(state.settings, workers=options.workers or available_cores())
-    experiment = Experiment(capture, settings, dict(state.ranges))
+    experiment = Experiment(capture, settings, dict(state.ranges), reference=state.belief)
     # What is at fault with the capture on this grid is said here, before an older run is taken away.
     _check_duration(experiment, state)
     if not state.history and not state.answer:

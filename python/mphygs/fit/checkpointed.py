@@ -124,6 +124,7 @@ def fit_run(
                 information=information_of(solution.evaluation, len(solution.belief.free)),
             )
         run.save()
+        experiment.refer(run.belief)
         _forget(experiment)
         done, begin, steps = done + stage.work, now, 0
 

@@ -11,10 +11,11 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Assessment, Compared, assess
 from mphygs.compare.noise import Observation, observe
-from mphygs.compare.sensed import ComparedSensor
+from mphygs.compare.sensed import ComparedSensor, with_grid
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.measured_start import of_sequence
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
@@ -39,7 +40,8 @@ def _drop_starts(belief: Belief, keep: Sequence[str]) -> Belief:
 @dataclass(eq=False)
 class Experiment:
     """fitted: sequence -> frames to fit; compared ranges come from the capture; whole: sequences that
-    windows do not shorten.
+    windows do not shorten; reference: the belief at which the grid's share in what instruments read was
+    looked at, None where it was not.
 
     Bodies, models and noise are built once per spacing and shared by every fit and comparison.
     """
@@ -50,6 +52,7 @@ class Experiment:
     observations: dict[str, Observation] = field(default_factory=dict)
     problems: dict[float, Problem] = field(default_factory=dict)
     whole: tuple[str, ...] = ()
+    reference: Belief | None = None
 
     @classmethod
     def of(
@@ -108,7 +111,7 @@ class Experiment:
         kept = tuple(s for s in self.capture.sequences if s.name in names)
         fitted = {name: self.fitted[name] for name in names}
         capture = replace(self.capture, sequences=kept)
-        return Experiment(capture, self.settings, fitted, self.observations)
+        return Experiment(capture, self.settings, fitted, self.observations, reference=self.reference)
 
     def twin(self, workers: int, halt: Event | None = None) -> Experiment:
         """The same experiment, for another thread: simulators of its own, bodies and measurements shared.
@@ -134,6 +137,33 @@ class Experiment:
     def _observe(self, name: str, predictor: Predictor) -> None:
         if name not in self.observations:
             self.observations[name] = observe(self.capture.sequence(name), predictor.attachment)
+            self._count_grid(name)
+
+    def refer(self, belief: Belief) -> None:
+        """Look at a belief for what the grid gets wrong of what instruments read, which counts as noise."""
+        self.reference = belief
+        for name in list(self.observations):
+            self._count_grid(name)
+
+    def _count_grid(self, name: str) -> None:
+        """The change from a coarser grid, extrapolated, at the reference; nothing where that cannot be
+        simulated."""
+        sensors = self.observations[name].sensors
+        if not sensors or self.reference is None:
+            return
+        spacing, belief = self.settings.spacing, self.reference
+        used = [r for r in (self.fitted.get(name, (0, 0)), self.unseen(name)) if r[1] > r[0]]
+        last = max((b for _, b in used), default=self.capture.sequence(name).frames)
+        try:
+            fine, coarse = (
+                self.predictor(name, width).predict(belief, last=last).readings
+                for width in (spacing, spacing * REFINEMENT)
+            )
+        except SimulationError:
+            return
+        whole = REFINEMENT**2 - 1.0
+        errors = [(b.value - a.value) / whole for a, b in zip(fine, coarse, strict=True)]
+        self.observations[name] = replace(self.observations[name], sensors=with_grid(sensors, errors))
 
     def predictor(self, name: str, spacing: float) -> Predictor:
         """The simulator of one sequence, fitted or not."""

@@ -12,7 +12,6 @@ import numpy as np
 from mphygs.capture.format import Capture, load_capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import sequence_errors
-from mphygs.compare.noise import observe
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.marker_labels import well_labelled
@@ -69,7 +68,7 @@ def experiment_of(
     if other is None:
         own = capture_of(run)
         check_spacing(own, settings.spacing, where)
-        experiment = Experiment(own, settings, dict(run.ranges))
+        experiment = Experiment(own, settings, dict(run.ranges), reference=run.belief)
         for name, left_out in run.left_out.items():
             _leave_out(experiment, name, np.array(left_out))
         return experiment, run.belief
@@ -86,7 +85,8 @@ def experiment_of(
     kept = [p for p in run.belief.parameters if of_sequence(p) is None]
     belief = replace(run.belief, parameters=(*kept, *(replace(p, free=False) for p in fresh)))
     # The other capture's measured fields hold: gravity may be stated in another frame.
-    return Experiment(capture, settings, {}), replace(belief, gravity=capture.gravity)
+    belief = replace(belief, gravity=capture.gravity)
+    return Experiment(capture, settings, {}, reference=belief), belief
 
 
 def _check_places(run: Run, capture: Capture) -> None:
@@ -116,8 +116,8 @@ def _check_places(run: Run, capture: Capture) -> None:
 
 def _leave_out(experiment: Experiment, name: str, entries: np.ndarray) -> None:
     """Take single measurements out of a sequence. entries: (K, 2) frame and marker."""
-    predictor = experiment.predictor(name, experiment.settings.spacing)
-    observation = observe(predictor.recording, predictor.attachment)
+    experiment.predictor(name, experiment.settings.spacing)
+    observation = experiment.observations[name]
     position = observation.position.copy()
     position[entries[:, 0], entries[:, 1]] = np.nan
     experiment.observations[name] = replace(observation, position=position)
