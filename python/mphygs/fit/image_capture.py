@@ -123,7 +123,10 @@ def _assembled_sequence(
     placement = placement_of(recording, files.folder)
     held = tuple(_from_frame(hold, placement) for hold in _held(recording, files))
     upright = np.array_equal(placement.rotation, np.eye(3))
-    recording = replace(recording, held=held, turn=None if upright else placement.rotation)
+    # What is told along the axes of the world, as sensors are, turns into the frame of the sequence.
+    sensors = tuple(replace(s, value=s.value @ placement.rotation) for s in recording.sensors)
+    turn = None if upright else placement.rotation
+    recording = replace(recording, held=held, turn=turn, sensors=sensors)
     path = files.tracks(recording.name)
     if recording.markers is not None or not tracked or not path.is_file():
         return recording
