@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from mphygs.capture.format import Load as Load
     from mphygs.capture.format import Markers as Markers
     from mphygs.capture.format import Part as Part
+    from mphygs.capture.format import Sensor as Sensor
     from mphygs.capture.format import Sequence as Sequence
     from mphygs.model.descriptor import ParameterSpec as ParameterSpec
     from mphygs.model.user_effect import register_effect as register_effect
@@ -60,6 +61,7 @@ _WHERE = {
     "MphygsError": "mphygs.api.errors",
     "ParameterSpec": "mphygs.model.descriptor",
     "Part": _FORMAT,
+    "Sensor": _FORMAT,
     "Sequence": _FORMAT,
     "Steps": "mphygs.api.stepping",
     "load_capture": "mphygs.api.files",

@@ -26,6 +26,11 @@ def check_sensors(where: str, capture: Capture, sequence: Sequence) -> None:
         raise fault(f"{where}.sensors", "stand alone", "markers beside them, which tell where the object is")
     for index, sensor in enumerate(sequence.sensors):
         key = f"{where}.sensors[{index}]"
+        if len(sensor.value) != sequence.frames:
+            what = f"has {len(sensor.value)} frames"
+            raise fault(f"{key}.file", what, f"{sequence.frames}, as the sequence")
+        if sensor.kind == FORCE and not 0 <= sensor.hold < len(sequence.held):
+            raise fault(f"{key}.hold", f"is {sensor.hold}", f"one of the {len(sequence.held)} that are held")
         if sensor.kind == ACCELERATION:
             _check_place(key, capture, sensor)
             _check_gravity(key, capture, sequence, sensor)

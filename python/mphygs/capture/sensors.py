@@ -37,6 +37,21 @@ class Sensor:
     at: np.ndarray | None = None
     gravity: bool = False
 
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"sensor '{self.kind}': expected one of {', '.join(KINDS)}")
+        most = 2 if self.kind == FORCE else 1
+        shape = self.value.shape
+        if len(shape) != 3 or not 1 <= shape[1] <= most or shape[2] != 3 or self.sigma.shape != shape[1:2]:
+            raise ValueError(
+                f"sensor '{self.kind}': value of shape {shape}, sigma of {self.sigma.shape}; "
+                f"expected (T, V, 3) and (V,) with V at most {most}"
+            )
+        if (self.hold is None) == (self.kind == FORCE) or (self.at is None) == (self.kind == ACCELERATION):
+            raise ValueError(f"sensor '{self.kind}': expected a hold of a force, a place of an acceleration")
+        if not (np.isnan(self.sigma) | (self.sigma > 0.0)).all():
+            raise ValueError(f"sensor '{self.kind}': sigma {self.sigma}; expected above zero, NaN if unknown")
+
     @property
     def quantities(self) -> tuple[str, ...]:
         """What its V vectors are: force and torque, or acceleration."""

@@ -25,7 +25,6 @@ import numpy as np
 
 from mphygs.compare.allowance import modulated_directions
 from mphygs.compare.assess import MODULATIONS
-from mphygs.compare.sensed import sensor_blocks
 from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.problem import Evaluation, Problem
@@ -69,7 +68,7 @@ def prediction_change(evaluation: Evaluation, other: Evaluation, ratio: float) -
 def grid_directions(problem: Problem, evaluation: Evaluation, change: np.ndarray) -> np.ndarray:
     """(N, K) errors of the size of a grid's that drift in time, of random amplitude, in the measured rows.
 
-    change: (N,) error of the grid in them.
+    Of markers: with instruments the grid's share counts as noise. change: (N,) error of the grid in them.
     """
     found = []
     for name, rows in evaluation.rows.items():
@@ -78,13 +77,6 @@ def grid_directions(problem: Problem, evaluation: Evaluation, change: np.ndarray
         whitener = problem.whitener(name)
         part = problem.predictors[name].attachment.part[whitener.marker]
         own = modulated_directions(change[rows], part, whitener.frame, count=MODULATIONS)
-        found.append(np.zeros((evaluation.data_rows, own.shape[1])))
-        found[-1][rows] = own
-    for name, rows in evaluation.sensor_rows.items():
-        if not np.any(change[rows]):
-            continue
-        number, frame = sensor_blocks(problem.observations[name].sensors, *problem.ranges[name])
-        own = modulated_directions(change[rows], number, frame, count=MODULATIONS)
         found.append(np.zeros((evaluation.data_rows, own.shape[1])))
         found[-1][rows] = own
     return np.concatenate(found, axis=1) if found else np.zeros((evaluation.data_rows, 0))
