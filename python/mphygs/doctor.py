@@ -13,7 +13,10 @@ import tyro
 
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.layouts import unit_remarks
+from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.sensors import FORCE, UNITS
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.compare.sensed import seen_noise
 from mphygs.diagnose.next_motion import candidate_motions
 from mphygs.fit.examination import Examined, examine, remarks
 from mphygs.fit.experiment import Experiment
@@ -34,6 +37,8 @@ PROGRAM = "mphygs doctor"
 USUAL_SIZE, EARTH = (0.005, 3.0), (9.7, 9.9)
 # Motions that are named.
 SHOWN = 3
+# Times that an instrument may scatter more, or less, than stated: fast motion looks like scatter.
+UNLIKE = 3.0
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,7 @@ def doctor(options: DoctorOptions, console: Console) -> Answer:
             )
             findings += [f"{recording.name}: {finding.text}" for finding in recording.markers.findings]
             findings += remarks(recording.name, examined[recording.name])
+            findings += sensor_remarks(recording)
         expected, motions, said = _told(capture, settings, options, examined, console)
         findings += said
     document |= {
@@ -121,11 +127,28 @@ def object_remarks(capture: Capture) -> list[str]:
     strength = float(np.linalg.norm(capture.gravity))
     if not EARTH[0] <= strength <= EARTH[1]:
         lines.append(f"gravity is {strength:.3g} m/s^2; on earth it is 9.81, however the object is turned")
-    if not capture.known.density and capture.known.mass is None:
+    forces = any(sensor.kind == FORCE for sequence in capture.sequences for sensor in sequence.sensors)
+    if not capture.known.density and capture.known.mass is None and not forces:
         lines.append(
             "neither mass nor density is stated: motion under gravity alone tells stiffness only relative to "
-            "density; weigh the object (object.known.mass)"
+            "density; weigh the object (object.known.mass), or measure the force at its hold (sensors)"
         )
+    return lines
+
+
+def sensor_remarks(recording: Recording) -> list[str]:
+    """Instruments whose readings scatter from frame to frame unlike their stated sigma."""
+    lines = []
+    for sensor in recording.sensors:
+        for v, quantity in enumerate(sensor.quantities):
+            stated, seen = float(sensor.sigma[v]), seen_noise(sensor.value[:, v])
+            if np.isfinite(stated) and not 1.0 / UNLIKE < seen / stated < UNLIKE:
+                what = sensor.label if quantity in sensor.label else f"{sensor.label}, {quantity}"
+                unit = UNITS[quantity]
+                lines.append(
+                    f"{recording.name}: {what}: sigma is stated as {stated:.3g} {unit}, but from frame to "
+                    f"frame it scatters by {seen:.3g} {unit}"
+                )
     return lines
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_example import ETA, SPACING, TRUTH, answer, bar_part, call, make_capture
+from command_example import ETA, FRAMES, SPACING, TRUTH, answer, bar_part, call, make_capture
 from mphygs import doctor
-from mphygs.capture.format import Known, load_capture, save_capture
+from mphygs.capture.format import Known, Sensor, load_capture, save_capture
 from mphygs.fit import __main__ as fit_command
 from mphygs.fit.examination import leading_frequency, longest_gap
 from mphygs.fit.experiment import Experiment
@@ -95,6 +95,22 @@ def test_noise_unlike_its_sigma_and_gaps_are_noticed(capture: Path, tmp_path: Pa
     assert found["sequences"]["swing"]["longest_gap"] == 7
     assert any("unseen for 7 frames" in line for line in found["findings"])
     assert any("% of the marker positions are missing" in line for line in found["findings"])
+
+
+def test_a_force_tells_the_density_and_its_noise_is_looked_at(tmp_path: Path) -> None:
+    made = load_capture(make_capture(tmp_path / "c", known=Known(poissons_ratio=0.4)))
+    times = np.arange(FRAMES) / 100.0
+    noise = 5e-4 * np.random.default_rng(0).standard_normal((FRAMES, 3))
+    force = np.array([0.0, 0.0, 0.076]) * (1.0 + 0.5 * np.sin(20.0 * times))[:, None] + noise
+    sensor = Sensor("force", force[:, None], np.array([5e-4]), hold=0)
+    for sigma, said in ((5e-4, False), (5e-5, True)):
+        own = replace(sensor, sigma=np.array([sigma]))
+        sequences = (replace(made.sequences[0], sensors=(own,)), made.sequences[1])
+        save_capture(replace(made, sequences=sequences), tmp_path / "force")
+        found = answer(doctor.main, tmp_path / "force", "--workers", 1, "--no-motions")
+        assert found["parameters"]["bar.density"]["determined"]
+        assert any("force at hold 0: sigma is stated as 5e-05 N" in f for f in found["findings"]) == said
+        assert not any("weigh the object" in line for line in found["findings"])
 
 
 def test_units_of_another_kind_are_noticed(capture: Path) -> None:

@@ -43,6 +43,14 @@ def test_verdict(example: ModuleType) -> None:
     assert found.parameters["bar.youngs_modulus"].value == pytest.approx(2.5e5, rel=0.05)
 
 
+def test_force(example: ModuleType) -> None:
+    found = example.main()
+    for key, true in (("bar.youngs_modulus", 2.5e5), ("bar.density", 1000.0)):
+        number = found["and force"].parameters[key]
+        assert number.determined and abs(number.value - true) < 2.0 * number.std < 0.1 * true
+        assert not found["markers"].parameters[key].determined
+
+
 @pytest.mark.slow
 def test_gradient(example: ModuleType) -> None:
     found = example.main()

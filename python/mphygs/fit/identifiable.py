@@ -44,6 +44,7 @@ class Identifiable:
         simulated. Raises SimulationError where no such one can."""
         problem = experiment.problem(experiment.settings.spacing)
         moved = simulable(problem, belief)
+        experiment.refer(moved)
         evaluation = problem.evaluate(moved)
         return cls(moved, information_of(evaluation, len(moved.free)))
 
