@@ -121,13 +121,17 @@ def surface_points(capture: Capture, count: int = SURFACE_POINTS) -> SurfaceSamp
 
 
 def _write(path: Path, prediction: Prediction, markers: int, recording: Recording) -> None:
-    """times [s], position and velocity of the markers (T, M, 3), surface (T, V, 3), in m and m/s."""
+    """times [s], position and velocity of the markers (T, M, 3), surface (T, V, 3), in m and m/s, and what
+    every instrument reads, (T, 3) a quantity."""
     arrays = {
         "times": prediction.frames / recording.fps,
         "position": prediction.position[:, :markers],
         "velocity": prediction.velocity[:, :markers],
         "surface": prediction.position[:, markers:],
     }
+    for number, (sensor, reading) in enumerate(zip(recording.sensors, prediction.readings, strict=True)):
+        for v, quantity in enumerate(sensor.quantities):
+            arrays[f"sensor{number}_{quantity}"] = reading.value[:, v]
     replace_arrays(path, arrays)
 
 

@@ -150,6 +150,9 @@ def fitted(
     for recording in capture.sequences:
         for finding in () if recording.markers is None else recording.markers.findings:
             console.say(f"{recording.name}: {finding.text}")
+    sensors = any(recording.sensors for recording in capture.sequences)
+    if sensors and (state.options.get("schedule") == "paper" or state.options.get("homogeneous")):
+        console.say("sensors: compared, but not fitted, which this way of fitting does to markers alone")
     console.begin()
     if state.options.get("homogeneous"):
         from mphygs.baselines.homogeneous import fit_homogeneous

@@ -195,6 +195,8 @@ def digest_of(capture: Capture) -> str:
                 add(recording.markers.offset)
             if recording.markers.spread is not None:
                 add(recording.markers.spread, recording.markers.memory, recording.markers.lasting)
+        for sensor in recording.sensors:
+            add(sensor.kind, sensor.value, sensor.sigma, sensor.hold, sensor.at, sensor.gravity)
     return hashed.hexdigest()
 
 

@@ -40,7 +40,8 @@ def sensors_chart(compared: Mapping[str, Compared], fps: Mapping[str, float]) ->
         layout[f"yaxis{number}"] = {
             "domain": [max(top - size, 0.0), top], "anchor": f"x{number}", "title": {"text": escape(unit)},
         }  # fmt: skip
-        layout[f"xaxis{number}"] = {"anchor": f"y{number}", "title": {"text": "time [s]"}}
+        title = {"text": "time [s]" if k == len(rows) - 1 else ""}
+        layout[f"xaxis{number}"] = {"anchor": f"y{number}", "title": title}
         window = np.arange(*item.frames)
         times = (window / fps[name]).tolist()
         told = np.isfinite(one.sensed.value[window, v]).all(1)
