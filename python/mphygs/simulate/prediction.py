@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from threading import Event
 
@@ -22,11 +22,12 @@ from mphygs.simulate.carried import Carriers
 from mphygs.simulate.errors import Halted
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.fields import core_effects, direction, places, primal
-from mphygs.simulate.instruments import Instrument, Reading, instrument_of
+from mphygs.simulate.instruments import Instrument, instrument_of
 from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.measured_start import MeasuredStart, start_numbers, start_sequence
 from mphygs.simulate.measurement import lateness, measured
 from mphygs.simulate.particle_body import discretise_particles
+from mphygs.simulate.predicted import Prediction, Started, readings_of
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.reactions import reaction_weights
 from mphygs.simulate.scope import belief_of_sequence, in_scope, is_absent, stated_weights
@@ -39,36 +40,6 @@ from mphygs.simulate.user_effects import forces_of
 # Predictions that are kept, as many with derivatives as without: one fit ends where the next begins, or a
 # comparison, and whether a model can be simulated is asked before it is fitted.
 KEPT = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What a model says of a sequence's markers and of what its instruments read.
-
-    frames: (T,) frame indices; position: (T, M, 3) [m]; velocity: (T, M, 3) [m/s];
-    jacobian: (T, M, 3, K) by the coordinates of `keys`; substeps: number computed; readings: of every sensor.
-    """
-
-    frames: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    jacobian: np.ndarray
-    keys: tuple[str, ...]
-    substeps: int
-    dt: float
-    readings: tuple[Reading, ...] = ()
-
-    def until(self, last: int) -> Prediction:
-        """The prediction of its frames before `last`."""
-        count = int(np.searchsorted(self.frames, last))
-        readings = tuple(Reading(r.value[:count], r.jacobian[:count]) for r in self.readings)
-        cut = (self.frames[:count], self.position[:count], self.velocity[:count], self.jacobian[:count])
-        return Prediction(*cut, self.keys, self.substeps, self.dt, readings)
-
-    def without_slopes(self) -> Prediction:
-        """The prediction alone."""
-        readings = tuple(Reading(r.value, r.jacobian[..., :0]) for r in self.readings)
-        return replace(self, jacobian=self.jacobian[..., :0], keys=(), readings=readings)
 
 
 class Predictor:
@@ -335,7 +306,8 @@ class Predictor:
         jacobian = np.zeros((*position.shape, len(wanted)))
         for slot, tangent in zip(slots, tangents, strict=True):
             jacobian[..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
-        readings = self._readings(belief, states, timeline, wanted, dict(zip(slots, tangents, strict=True)))
+        told = dict(zip(slots, tangents, strict=True))
+        readings = readings_of(self.instruments, belief, states, timeline, wanted, told)
         begins = start is None and start_numbers(belief, self.recording.name) is not None
         for slot, (owner, parameter) in enumerate(wanted):
             if parameter.key == f"{self.recording.name}.release_shift" and start is None:
@@ -411,33 +383,9 @@ class Predictor:
         b = b - np.trace(b, axis1=-2, axis2=-1)[..., None, None] / 3.0 * np.eye(3)
         return mu * np.sqrt(1.5 * (b * b).sum((-2, -1)))
 
-    def _readings(
-        self,
-        belief: Belief,
-        states: tuple,
-        timeline: Timeline,
-        wanted: Sequence[Owned],
-        tangents: Mapping[int, tuple],
-    ) -> tuple[Reading, ...]:
-        """What the instruments read, and its derivative by the wanted parameters. tangents: of the states, by
-        the parameters' places among them."""
-        found = []
-        for instrument in self.instruments:
-            value = instrument.read(belief, states, timeline)
-            jacobian = np.zeros((*value.shape, len(wanted)))
-            for slot, (owner, parameter) in enumerate(wanted):
-                if slot in tangents:
-                    jacobian[..., slot] = instrument.observe_tangent(tangents[slot], timeline)
-                    jacobian[..., slot] += instrument.direct_slope(owner, parameter, timeline)
-                elif parameter.key == "time_offset.offset":
-                    # A later clock shows what comes next.
-                    jacobian[..., slot] = _rate(value) * self.recording.fps * parameter.slope
-            found.append(Reading(value, jacobian))
-        return tuple(found)
-
     def _started(
         self, belief: Belief, parameter: Parameter, last: int, dt: float, feedback: Feedback | None
-    ) -> _Started:
+    ) -> Started:
         """By a difference: it moves the schedule's start, which the core does not differentiate."""
         step = 0.05 / self.recording.fps
         if parameter.value + step > parameter.upper:
@@ -447,7 +395,7 @@ class Predictor:
         states = self.states(moved, timeline, feedback=feedback)
         later, _ = self.carriers.observe(states, timeline, self.recording)
         readings = tuple(i.read(moved, states, timeline) for i in self.instruments)
-        return _Started(later, readings, parameter.slope / step)
+        return Started(later, readings, parameter.slope / step)
 
     def _runs(
         self,
@@ -512,21 +460,6 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
-
-
-@dataclass(frozen=True, eq=False)
-class _Started:
-    """A run that starts a little later: markers (T, M, 3) [m], readings (T, V, 3), and the slope of a
-    coordinate over what the start was moved by."""
-
-    position: np.ndarray
-    readings: tuple[np.ndarray, ...]
-    slope: float
-
-
-def _rate(value: np.ndarray) -> np.ndarray:
-    """Change from frame to frame, (T, ...)."""
-    return np.gradient(value, axis=0) if len(value) > 1 else np.zeros_like(value)
 
 
 def moves_targets(parameter: Parameter) -> bool:
