@@ -143,6 +143,48 @@ def test_readings_and_their_gradient_follow_differences(effects: bool) -> None:
         assert gradient[slot] == pytest.approx(total, rel=1e-9), keys[slot]
 
 
+def test_a_late_clock_shows_readings_later() -> None:
+    frames = 30
+    predictor = predictor_of(moved_bar(frames, fps=200.0), 0.012, dtype="float64")
+    plain = bar_belief(predictor.capture, youngs_modulus=1e5).with_effect("viscosity", {"eta": 150.0})
+    substep = predictor.stable_substep(plain)
+
+    def late(offset: float) -> Belief:
+        return plain.with_effect("time_offset", {"offset": offset})
+
+    found = predictor.predict(late(1e-3), keys=["time_offset.offset"], substep=substep)
+    ends = [predictor.predict(late(1e-3 + step), substep=substep) for step in (2e-4, -2e-4)]
+    slope = late(1e-3)["time_offset.offset"].slope
+    for reading, ahead, behind in zip(found.readings, *(end.readings for end in ends), strict=True):
+        change = (ahead.value - behind.value)[12:-2] / 4e-4 * slope
+        apart = reading.jacobian[12:-2, ..., 0] - change
+        assert np.sqrt(np.mean(apart**2)) < 0.15 * np.sqrt(np.mean(change**2))
+
+
+@pytest.mark.parametrize("key", ["part0.youngs_modulus", "part1.density"])
+def test_accelerations_of_mls_follow_differences(key: str) -> None:
+    capture = moved_bar(5)
+    recording = capture.sequences[0]
+    capture = with_sensors(capture, recording.sensors[1])
+    predictor = predictor_of(capture, 0.015, dtype="float64", transfer=MLS)
+    belief = bar_belief(capture, youngs_modulus=(6e4, 3e4), density=(900.0, 1200.0), free=(key,))
+    substep = predictor.stable_substep(belief)
+    (reading,) = predictor.predict(belief, keys=[key], substep=substep).readings
+    ends = [
+        predictor.predict(belief.at(belief.coordinates + step), substep=substep).readings[0].value
+        for step in (1e-5, -1e-5)
+    ]
+    change = (ends[0] - ends[1]) / 2e-5
+    assert np.abs(change).max() > 0.0
+    np.testing.assert_allclose(reading.jacobian[..., 0], change, atol=1e-4 * np.abs(change).max())
+    weight = np.random.default_rng(0).standard_normal(reading.value.shape)
+    _, gradient = predict_with_gradient(
+        predictor, belief, np.zeros_like, keys=[key], last=5, substep=substep,
+        reading_slopes=lambda _: [weight],
+    )  # fmt: skip
+    assert gradient[0] == pytest.approx(np.vdot(weight, reading.jacobian[..., 0]), rel=1e-8)
+
+
 def test_readings_of_a_window_are_those_of_the_whole() -> None:
     capture = moved_bar(9)
     belief = bar_belief(capture, youngs_modulus=6e4)
