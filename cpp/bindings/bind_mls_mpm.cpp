@@ -10,7 +10,7 @@ namespace {
 using namespace mphygs;
 
 MlsGeometry to_mls_geometry(const py::dict& d) {
-    reject_unknown(d, {"origin", "spacing", "points", "part", "surface_area", "hold", "places", "place_particle", "hold_count", "part_count"},
+    reject_unknown(d, {"origin", "spacing", "points", "part", "surface_area", "hold", "places", "place_particle", "hold_count", "hold_centre", "part_count"},
                    "geometry");
     MlsGeometry g;
     if (d.contains("origin")) {
@@ -22,6 +22,7 @@ MlsGeometry to_mls_geometry(const py::dict& d) {
     g.surface_area = entry<double>(d, "surface_area");
     g.hold = entry<std::int32_t>(d, "hold");
     g.places = entry<double>(d, "places");
+    g.hold_centre = entry<double>(d, "hold_centre");
     g.place_particle = entry<std::int32_t>(d, "place_particle");
     g.hold_count = d.contains("hold_count") ? d["hold_count"].cast<int>() : 0;
     g.part_count = d.contains("part_count") ? d["part_count"].cast<int>() : 1;
@@ -49,17 +50,23 @@ template <class T>
 py::tuple particle_arrays(ParticleTrajectory<T>&& t, std::size_t particles) {
     const auto n = static_cast<py::ssize_t>(particles);
     const auto frames = static_cast<py::ssize_t>(t.position.size()) / (3 * n);
-    return py::make_tuple(to_array(std::move(t.position), {frames, n, 3}), to_array(std::move(t.velocity), {frames, n, 3}),
-                          to_array(std::move(t.deformation), {frames, n, 3, 3}));
+    const auto holds = static_cast<py::ssize_t>(t.reaction.size()) / (6 * frames);
+    py::object position = to_array(std::move(t.position), {frames, n, 3}), velocity = to_array(std::move(t.velocity), {frames, n, 3});
+    py::object deformation = to_array(std::move(t.deformation), {frames, n, 3, 3});
+    if (holds == 0) {
+        return py::make_tuple(position, velocity, deformation);
+    }
+    return py::make_tuple(position, velocity, deformation, to_array(std::move(t.reaction), {frames, holds, py::ssize_t(6)}));
 }
 
 template <class T>
 ParticleTrajectory<T> to_particle_trajectory(const py::tuple& t) {
-    if (t.size() != 3) {
-        throw py::value_error("a trajectory's bar must be (position, velocity, deformation)");
+    if (t.size() != 3 && t.size() != 4) {
+        throw py::value_error("a trajectory's bar must be (position, velocity, deformation), and the reactions' where asked for");
     }
     const auto part = [&](std::size_t i) { return t[i].is_none() ? std::vector<T>{} : to_vector<T>(t[i].template cast<Array<T>>()); };
-    return {part(0), part(1), part(2)};
+    const bool reacting = t.size() == 4 && !t[3].is_none();
+    return {part(0), part(1), part(2), reacting ? to_vector<double>(t[3].template cast<Array<double>>()) : std::vector<double>{}};
 }
 
 template <class T>

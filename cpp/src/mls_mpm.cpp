@@ -38,6 +38,9 @@ std::vector<ParticleTrajectory<T>> roll(const MlsMpm<T>& model, const Inputs<T, 
                 }
             }
         }
+        for (std::size_t l = 0; l < result.size(); ++l) {
+            result[l].reaction = run.reaction(static_cast<int>(l));
+        }
     });
     return result;
 }

@@ -98,13 +98,16 @@ MlsMpm<T>::MlsMpm(MlsGeometry geometry, MlsSettings settings) : geometry_(std::m
 
 template <class T>
 void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s, const Observer* observer) const {
-    const auto size = [](const std::vector<T>& v, std::size_t n, bool optional, const char* name) {
+    const auto size = [](const auto& v, std::size_t n, bool optional, const char* name) {
         require((optional && v.empty()) || v.size() == n,
                 std::string(name) + " has " + std::to_string(v.size()) + " numbers, expected " + std::to_string(n));
     };
     const std::size_t count = particle_count(), frames = s.steps.size();
     require(s.dt.size() == frames, "the schedule needs one dt per interval");
-    require(s.reaction_weight.empty(), "MLS-MPM tells no reactions: it imposes velocities");
+    size(s.reaction_weight, 2 * static_cast<std::size_t>(s.total_steps()), true, "reaction_weight");
+    if (!s.reaction_weight.empty()) {
+        size(geometry_.hold_centre, 3 * static_cast<std::size_t>(geometry_.hold_count), false, "hold_centre");
+    }
     for (std::size_t k = 0; k < frames; ++k) {
         require(s.steps[k] > 0 && s.dt[k] > 0, "the schedule's steps and dt must be positive");
     }

@@ -57,21 +57,51 @@ void add_wrench_bars(const Geometry& g, const double* impulse, const double* tur
     }
 }
 
-ReactionSums::ReactionSums(const Geometry& geometry, const Schedule& schedule, std::size_t lanes)
-    : geometry_(geometry), schedule_(schedule) {
+void add_momentum(int lanes, const double* momentum, const double* arm, const double* turn, double quarter, double* out,
+                  std::size_t stride) {
+    for (int l = 0; l < lanes; ++l) {
+        const double *own = momentum + 3 * l, *shifted = arm + 3 * l;
+        double* to = out + static_cast<std::size_t>(l) * stride;
+        for (std::size_t c = 0; c < 3; ++c) {
+            const std::size_t a = (c + 1) % 3, b = (c + 2) % 3;
+            to[c] += own[c];
+            to[3 + c] += arm[a] * own[b] - arm[b] * own[a] + quarter * turn[3 * static_cast<std::size_t>(l) + c];
+            if (l > 0) {
+                to[3 + c] += shifted[a] * momentum[b] - shifted[b] * momentum[a];
+            }
+        }
+    }
+}
+
+ReactionSums::ReactionSums(int hold_count, const Schedule& schedule, std::size_t lanes) : schedule_(schedule) {
     if (wanted()) {
-        size_ = (schedule.steps.size() + 1) * static_cast<std::size_t>(geometry.hold_count) * wrench_size;
+        size_ = (schedule.steps.size() + 1) * static_cast<std::size_t>(hold_count) * wrench_size;
         sums_.assign(lanes * size_, 0.0);
     }
 }
 
+ReactionSums::ReactionSums(const Geometry& geometry, const Schedule& schedule, std::size_t lanes)
+    : ReactionSums(geometry.hold_count, schedule, lanes) {
+    geometry_ = &geometry;
+}
+
 void ReactionSums::add(std::size_t lane, int n, int frame, const double* impulse, const double* turn, bool forces) {
-    const std::size_t own = static_cast<std::size_t>(geometry_.hold_count) * wrench_size;
+    const std::size_t own = static_cast<std::size_t>(geometry_->hold_count) * wrench_size;
     for (std::size_t side = 0; side < 2; ++side) {
         const double weight = schedule_.reaction_weight[2 * static_cast<std::size_t>(n) + side];
         if (weight != 0.0) {
             const double share = weight / schedule_.dt[static_cast<std::size_t>(frame)];
-            add_wrenches(geometry_, impulse, turn, share, forces, &sums_[lane * size_ + (static_cast<std::size_t>(frame) + side) * own]);
+            add_wrenches(*geometry_, impulse, turn, share, forces, &sums_[lane * size_ + (static_cast<std::size_t>(frame) + side) * own]);
+        }
+    }
+}
+
+void ReactionSums::add_sums(std::size_t lane, int n, int frame, const double* sums, double sign) {
+    const std::size_t own = size_ / (schedule_.steps.size() + 1), at = static_cast<std::size_t>(frame);
+    for (std::size_t side = 0; side < 2; ++side) {
+        const double share = sign * schedule_.reaction_weight[2 * static_cast<std::size_t>(n) + side] / schedule_.dt[at];
+        for (std::size_t i = 0; i < own; ++i) {
+            sums_[lane * size_ + (at + side) * own + i] += share * sums[i];
         }
     }
 }

@@ -123,7 +123,3 @@ def test_a_sensor_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
         code, _, err = call(synth.main, "bar", "--sensors", text, "--out", tmp_path / "x")
         assert code == 2 and words in err and err.count("\n") == 1
 
-
-def test_mls_has_no_forces_and_says_so(capture: Path, tmp_path: Path) -> None:
-    code, _, err = call(fit.main, capture, "--transfer", "mls", "--out", tmp_path / "mls")
-    assert code == 2 and "force sensor needs the transfer total-lagrangian" in err, err

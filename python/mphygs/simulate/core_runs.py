@@ -1,8 +1,8 @@
 """One way to run either transfer of the compiled core.
 
 A trajectory is a tuple of arrays with a first axis of output frames, the initial state included:
-(displacement, velocity) of the nodes for the total-Lagrangian transfer, with the reactions of the holds where
-the schedule asks for them; (position, velocity, deformation) of the particles for MLS-MPM.
+(displacement, velocity) of the nodes for the total-Lagrangian transfer, (position, velocity, deformation) of
+the particles for MLS-MPM, and then the reactions of the holds where the schedule asks for them.
 """
 
 from __future__ import annotations

@@ -20,7 +20,6 @@ from mphygs.simulate.body import Body
 from mphygs.simulate.carried import Carriers
 from mphygs.simulate.fields import gravity_of
 from mphygs.simulate.held_material import HeldMaterial
-from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Transfer
 
@@ -92,10 +91,10 @@ class HoldForce(Instrument):
     hold_count: int
 
     def observe(self, states: tuple, timeline: Timeline) -> np.ndarray:
-        return self._of(states[2], timeline)
+        return self._of(states[-1], timeline)
 
     def observe_tangent(self, change: tuple, timeline: Timeline) -> np.ndarray:
-        return self._of(change[2], timeline)
+        return self._of(change[-1], timeline)
 
     def _of(self, reaction: np.ndarray, timeline: Timeline) -> np.ndarray:
         shown = np.asarray(reaction, float)[timeline.skipped :, self.hold, : 3 * self.vectors]
@@ -179,16 +178,10 @@ class PointAcceleration(Instrument):
 def instrument_of(sensor: Sensor, transfer: Transfer, recording: Recording) -> Instrument:
     """The instrument that a sensor of a sequence is, on what a transfer simulates.
 
-    An accelerometer off the object is read at the point of it that is nearest. Raises ValueError for a force
-    where the transfer tells no reactions.
+    An accelerometer off the object is read at the point of it that is nearest.
     """
     body = transfer.body
     if sensor.kind == FORCE:
-        if not transfer.reacts:
-            raise ValueError(
-                f"sequence '{recording.name}': a force sensor needs the transfer {TOTAL_LAGRANGIAN}, for "
-                f"{body.transfer} imposes velocities and tells no reactions"
-            )
         held = HeldMaterial.of(body, sensor.hold, recording.held[sensor.hold], recording.fps)
         return HoldForce(held, sensor.hold, sensor.value.shape[1], len(recording.held))
     attachment = body.attach(np.asarray(sensor.at, float)[None])

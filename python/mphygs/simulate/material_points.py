@@ -186,8 +186,8 @@ class MaterialPoints(Transfer):
         return self._displaced(core_runs.simulate(model, fields, schedule, progress, hook, observer))
 
     def _displaced(self, trajectory: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        position, velocity, deformation = trajectory
-        return position - self.body.geometry["points"], velocity, deformation
+        position, *others = trajectory
+        return position - self.body.geometry["points"], *others
 
     def tangent(
         self,
@@ -214,7 +214,10 @@ class MaterialPoints(Transfer):
         hook: object | None,
         observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:
-        return core_runs.adjoint(model, fields, schedule, (*bars, None), hook, observer)
+        displacement, velocity, *reaction = bars
+        return core_runs.adjoint(
+            model, fields, schedule, (displacement, velocity, None, *reaction), hook, observer
+        )
 
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
         free = LANES * self.body.free_block_count

@@ -68,6 +68,7 @@ def discretise_particles(capture: Capture, boxes: np.ndarray, spacing: float) ->
         "part": np.repeat(quadrature.part, LANES).astype(np.int32),
         "hold": np.repeat(hold, LANES).astype(np.int32),
         "hold_count": len(boxes),
+        "hold_centre": boxes.mean(axis=1),
         "part_count": len(capture.parts),
     }
     body = ParticleBody(

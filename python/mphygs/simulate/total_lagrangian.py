@@ -27,7 +27,6 @@ class TotalLagrangian(Transfer):
 
     batch = 16
     keeps_apart = True
-    reacts = True
 
     @property
     def grid_body(self) -> Body:

@@ -37,14 +37,12 @@ class Transfer(ABC):
     """One object under one set of holds, discretised for one of the core's transfers.
 
     batch: directions that the core carries at once in one run; keeps_apart: whether one of them may have
-    effects of the volume, the surface and the body that the run has not; reacts: whether its states tell
-    what the holds exert. Its carriers are what the core's
+    effects of the volume, the surface and the body that the run has not. Its carriers are what the core's
     trajectory is given at: N nodes or particles.
     """
 
     batch: int
     keeps_apart = False
-    reacts = False
 
     def __init__(self, body: Body, settings: Settings) -> None:
         self.body, self.settings = body, settings

@@ -39,6 +39,7 @@ struct MlsGeometry {
     std::vector<double> places;                // (P, 3) of point and mass effects at rest [m]
     std::vector<std::int32_t> place_particle;  // (P,) particle of a place, -1 or empty: the nearest
     int hold_count = 0;
+    std::vector<double> hold_centre;  // (H, 3) about which torques are told [m]; needed for reactions only
     int part_count = 1;
 
     std::size_t particle_count() const { return part.size(); }
@@ -63,6 +64,7 @@ struct ParticleTrajectory {
     std::vector<T> position;     // (F + 1, N, 3) [m]
     std::vector<T> velocity;     // (F + 1, N, 3) [m/s]
     std::vector<T> deformation;  // (F + 1, N, 3, 3) [-]
+    std::vector<double> reaction = {};  // (F + 1, H, 6) what each hold exerts on the free particles [N, N m], where asked for
 };
 
 /// The shapes of Fields where they differ from the total-Lagrangian ones: mu, lambda,

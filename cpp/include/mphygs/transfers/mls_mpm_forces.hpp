@@ -128,6 +128,8 @@ class MlsForces {
             }
         }
     }
+    /// Of the run, the one that it stands at.
+    int substep() const { return n_; }
     T gravity(int c) const { return lane_of(gravity_[c], 0)[0]; }
 
     /// Momentum q and affine part A = m C - dt V (4/h^2) tau of the eight particles from `first`.

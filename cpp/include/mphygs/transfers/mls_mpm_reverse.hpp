@@ -92,6 +92,10 @@ class MlsMpmReverse : public MlsStepReverse<T> {
         size(bar_.position, frames * 3 * count, "position");
         size(bar_.velocity, frames * 3 * count, "velocity");
         size(bar_.deformation, frames * 9 * count, "deformation");
+        const std::size_t reactions = this->schedule_.reaction_weight.empty() ? 0 : frames * wrench_size * static_cast<std::size_t>(model_.geometry_.hold_count);
+        if (!bar_.reaction.empty() && bar_.reaction.size() != reactions) {
+            throw std::invalid_argument("the bar of the reactions must be (frames + 1, holds, 6), and the schedule ask for them");
+        }
     }
 
     /// The initial scatter, and the rounds that found C_0, backwards; record: state 0.

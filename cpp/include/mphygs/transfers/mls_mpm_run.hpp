@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <optional>
 
+#include "mphygs/reaction.hpp"
 #include "mphygs/team.hpp"
 #include "mphygs/transfers/mls_mpm_grids.hpp"
 #include "mphygs/transfers/mls_mpm_particles.hpp"
@@ -25,7 +26,13 @@ class MlsMpmRun : public MlsParticles<T, K> {
 
     /// team: whose threads share the work of a substep.
     MlsMpmRun(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule, Team& team)
-        : Particles(model, inputs, schedule), team_(&team), forces_(model, inputs_, table_), grids_(model.chunk_count_, lanes) {
+        : Particles(model, inputs, schedule), team_(&team), forces_(model, inputs_, table_), grids_(model.chunk_count_, lanes),
+          reactions_(model.geometry_.hold_count, schedule, lanes) {
+        if (reactions_.wanted()) {
+            const std::size_t numbers = lanes * static_cast<std::size_t>(model.geometry_.hold_count) * wrench_size;
+            given_.assign(static_cast<std::size_t>(model.chunk_count_), std::vector<double>(numbers, 0.0));
+            taken_ = given_;
+        }
         start_velocity_ = velocity_;
         if (inputs.observer) {
             pulls_.emplace(model, inputs_, schedule, table_);
@@ -66,7 +73,13 @@ class MlsMpmRun : public MlsParticles<T, K> {
         team_->each(model_.chunk_count_, [&](int c) { start_chunk(static_cast<std::size_t>(c), box, improve, real); });
         grids_.reduce(box, state_.ranges, *team_, state_.grid);
         state_.box = box;
+        if (real) {
+            react(given_, 0, 1.0);
+        }
     }
+
+    /// What every hold exerts at the output frames, of the values or of a direction: see `ParticleTrajectory`.
+    std::vector<double> reaction(int lane) const { return reactions_.of(static_cast<std::size_t>(lane)); }
 
     /// Sorts the particles where substep `n` calls for it; to be called before the state is kept.
     void prepare(int n) {
@@ -100,11 +113,16 @@ class MlsMpmRun : public MlsParticles<T, K> {
             forces_.refresh(n + 1);
             grids_.prepare(next, state_.ranges);
         }
+        now_ = n;
         std::vector<CellRange> ranges(state_.ranges.size());
         team_->each(model_.chunk_count_, [&](int c) {
             advance_chunk(static_cast<std::size_t>(c), h, next, forces, output, ranges[static_cast<std::size_t>(c)]);
         });
         stop_if_failed(n);
+        react(taken_, n, -1.0);
+        if (forces) {
+            react(given_, n + 1, 1.0);
+        }
         state_.ranges = std::move(ranges);
         if (record) {
             record->grid = std::move(state_.grid);
@@ -161,7 +179,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
                     } else {
                         points[k].f = points[k].f + gradient * points[k].f;
                     }
-                    give(tile, k, p, points[k], history.data());
+                    give(tile, k, p, points[k], history.data(), c);
                     const S mass = tile.get_mass(k);
                     tile.set_q(k, tile.get_q(k) - mass * points[k].v);
                     tile.set_n(k, tile.get_n(k) - (static_cast<T>(model_.geometry_.spacing) * mass) * points[k].c);
@@ -190,11 +208,64 @@ class MlsMpmRun : public MlsParticles<T, K> {
         return constant<S>(T(4) * inverse_spacing_) * moment;
     }
 
-    void give(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point, T* history) const {
+    /// Whether any of eight particles, or of a tile, is held by something whose reaction is asked for.
+    bool reacts(const MlsOrder<T>& order, std::size_t first) const { return reactions_.wanted() && order.held[first / lane_count]; }
+    bool tile_reacts(const MlsOrder<T>& order, std::size_t first) const {
+        bool any = false;
+        for (std::size_t p = first; p < first + tile_size; p += lane_count) {
+            any = any || reacts(order, p);
+        }
+        return any;
+    }
+    /// Centre of a hold's box after a substep, coordinate c of a lane [m].
+    double centre(int lane, std::size_t hold, int substep, std::size_t c) const {
+        const std::size_t pose = forces_.pose_index(hold, substep + 1);
+        double sum = static_cast<double>(lane_of(inputs_.plain(&Fields<T>::pose, pose + 9 + c), lane));
+        for (std::size_t j = 0; j < 3; ++j) {
+            const T turn = lane_of(inputs_.plain(&Fields<T>::pose, pose + 3 * c + j), lane);
+            sum += static_cast<double>(turn) * model_.geometry_.hold_centre[3 * hold + j];
+        }
+        return sum;
+    }
+    /// What the held ones of eight particles, displaced by u, give to the grid or take from it in a substep.
+    void sum_held(std::vector<double>& sums, const MlsOrder<T>& order, std::size_t first, int substep, const Vec3<S>& u,
+                  const Vec3<S>& momentum, const Mat3<S>& affine) const {
+        const std::size_t stride = static_cast<std::size_t>(model_.geometry_.hold_count) * wrench_size;
+        const double quarter = 0.25 * model_.geometry_.spacing * model_.geometry_.spacing;
+        forces_.each_held(order, first, [&](int q, std::size_t hold, std::size_t id) {
+            double own[3 * lanes], arm[3 * lanes], turn[3 * lanes];
+            for (int l = 0; l < lanes; ++l) {
+                for (int c = 0; c < 3; ++c) {
+                    const int i = 3 * l + c, a = (c + 1) % 3, b = (c + 2) % 3;
+                    own[i] = static_cast<double>(lane_of(momentum[c], l)[q]);
+                    turn[i] = static_cast<double>(lane_of(affine.e[b][a], l)[q]) - static_cast<double>(lane_of(affine.e[a][b], l)[q]);
+                    arm[i] = static_cast<double>(lane_of(u[c], l)[q]) - centre(l, hold, substep, static_cast<std::size_t>(c));
+                    arm[i] += l == 0 ? model_.geometry_.points[3 * id + static_cast<std::size_t>(c)] : 0.0;
+                }
+            }
+            add_momentum(lanes, own, arm, turn, quarter, &sums[hold * wrench_size], stride);
+        });
+    }
+    /// Adds what all chunks found to the reactions, and clears it.
+    void react(std::vector<std::vector<double>>& chunks, int n, double sign) {
+        const std::size_t stride = static_cast<std::size_t>(model_.geometry_.hold_count) * wrench_size;
+        for (std::vector<double>& sums : chunks) {
+            for (std::size_t l = 0; l < static_cast<std::size_t>(lanes); ++l) {
+                reactions_.add_sums(l, n, table_.frame[static_cast<std::size_t>(n)], &sums[l * stride], sign);
+            }
+            std::fill(sums.begin(), sums.end(), 0.0);
+        }
+    }
+
+    /// chunk: whose sums of what held particles give are added to, where reactions are asked for.
+    void give(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point, T* history, std::size_t chunk) {
         Vec3<S> momentum;
         Mat3<S> affine;
         forces_.evaluate(*state_.order, p, point, history, momentum, affine);
         pull(*state_.order, p, momentum);
+        if (reacts(*state_.order, p)) {
+            sum_held(given_[chunk], *state_.order, p, forces_.substep(), point.u, momentum, affine);
+        }
         tile.set_q(pack, momentum);
         tile.set_n(pack, constant<S>(static_cast<T>(model_.geometry_.spacing)) * affine);
         tile.set_mass(pack, forces_.fixed(*state_.order, fixed_mass, p));
@@ -260,7 +331,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
                     }
                 }
                 if (real) {
-                    give(tile, k, p, points[k], state_.history.data());
+                    give(tile, k, p, points[k], state_.history.data(), c);
                 } else {
                     give_velocity(tile, k, p, points[k]);
                 }
@@ -311,7 +382,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
         const bool plain = K == 0 && forces_.plain();
         for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
             if constexpr (K == 0) {
-                if (plain && forces_.plain_tile(*state_.order, t)) {
+                if (plain && forces_.plain_tile(*state_.order, t) && !tile_reacts(*state_.order, t)) {
                     stand_tile(tile, *state_.order, *from_, state_.box, t, now);
                     gather_rows<T>(tile, state_.grid.data(), model_.axis_, state_.box);
                     const PlainPass<T> pass = plain_pass(h, forces);
@@ -342,6 +413,10 @@ class MlsMpmRun : public MlsParticles<T, K> {
                 ParticlePoint<S>& point = points[k];
                 point.v = tile.get_q(k);
                 point.c = affine_velocity(tile.get_n(k));
+                if (reacts(*state_.order, p)) {
+                    const S mass = forces_.fixed(*state_.order, fixed_mass, p);
+                    sum_held(taken_[c], *state_.order, p, now_, point.x, mass * point.v, mass * point.c);
+                }
                 for (int a = 0; a < 3; ++a) {
                     point.x[a] = point.x[a] + h * point.v[a];
                 }
@@ -362,7 +437,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
                     failed_[c] = static_cast<long>(p) + q;
                 }
                 if (forces) {
-                    give(tile, k, p, point, state_.history.data());
+                    give(tile, k, p, point, state_.history.data(), c);
                 }
             }
             if (forces) {
@@ -384,6 +459,9 @@ class MlsMpmRun : public MlsParticles<T, K> {
     const Buffer<T>* from_ = nullptr;               // what moves, before the pass
     std::vector<T> start_velocity_, start_affine_;  // (lanes, 3 or 9, size)
     MlsGrids<T> grids_;
+    ReactionSums reactions_;
+    std::vector<std::vector<double>> given_, taken_;  // by chunk: (lanes, holds, 6) of what held particles give and take
+    int now_ = 0;  // the substep of the present pass
 };
 
 }  // namespace mphygs

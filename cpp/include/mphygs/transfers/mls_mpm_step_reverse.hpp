@@ -20,7 +20,7 @@ class MlsStepReverse {
     MlsStepReverse(const MlsMpm<T>& model, const Fields<T>& fields, const Schedule& schedule, const Observer* observer, Team& team)
         : model_(model), fields_(fields), run_(model, inputs_of(fields, observer), schedule, team), table_(run_.table()),
           forces_(run_.forces_, fields), particles_(model.padded_), sums_(static_cast<std::size_t>(model.chunk_count_)),
-          grids_(model.chunk_count_, 1) {
+          grids_(model.chunk_count_, 1), schedule_(schedule), taken_pose_(static_cast<std::size_t>(model.chunk_count_)) {
         const std::size_t n = model.padded_, count = model.particle_count();
         bars_.assign(moving_numbers * n, T{});
         history_bar_.assign(run_.state_.history.size(), T{});
@@ -114,9 +114,17 @@ class MlsStepReverse {
         }
         run_.state_.history = record.history;  // evaluated again, to be overwritten
         grids_.prepare(record.box, record.ranges);
+        for (std::vector<double>& pose : taken_pose_) {
+            pose.assign(12 * static_cast<std::size_t>(model_.geometry_.hold_count), 0.0);
+        }
         run_.team_->each(model_.chunk_count_, [&](int c) { reverse_chunk(static_cast<std::size_t>(c), n, record, forces); });
         if (forces) {
             add_sums(n + 1);
+        }
+        for (const std::vector<double>& pose : taken_pose_) {
+            for (std::size_t i = 0; reacting() && i < pose.size(); ++i) {
+                pose_bar_[run_.forces_.pose_index(i / 12, n + 1) + i % 12] += pose[i];
+            }
         }
         if (forces && run_.pulling()) {
             run_.pulls_->reverse(given_bar_, target_bar_);
@@ -197,6 +205,12 @@ class MlsStepReverse {
             g.mass = given.get_mass(k);
             add_slope(slope, k, bars[k].x);
             const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+            if (reacts(order, p)) {
+                const HeldBars held = held_bars(order, p, run_.forces_.substep(), 1.0, points[k].u, tile.get_q(k), sums_[c].pose, 24, 12);
+                g.momentum = g.momentum + held.momentum;
+                g.affine = g.affine + held.affine;
+                bars[k].x = bars[k].x + held.arm;
+            }
             forces_.reverse(order, p, points[k], history, g, history_bar_.data(), bars[k], particles_, sums_[c]);
             if (run_.pulling()) {
                 const P mass = run_.forces_.fixed(order, fixed_mass, p);
@@ -207,6 +221,64 @@ class MlsStepReverse {
                 }
             }
         }
+    }
+
+    bool reacting() const { return !bar_.reaction.empty(); }
+    bool reacts(const MlsOrder<T>& order, std::size_t first) const { return reacting() && run_.reacts(order, first); }
+
+    /// Bars of what held ones of eight particles give or take: of momentum, affine part and place.
+    struct HeldBars {
+        Vec3<P> momentum{}, arm{};
+        Mat3<P> affine{};
+    };
+    /// sign: 1 for what is given, -1 for what is taken; pose: gains the centre's share, of hold h from stride h + at on.
+    HeldBars held_bars(const MlsOrder<T>& order, std::size_t first, int substep, double sign, const Vec3<P>& u, const Vec3<P>& momentum,
+                       std::vector<double>& pose, std::size_t stride, std::size_t at) const {
+        HeldBars bars;
+        const std::size_t s = static_cast<std::size_t>(substep), own = static_cast<std::size_t>(model_.geometry_.hold_count) * wrench_size;
+        const double quarter = 0.25 * model_.geometry_.spacing * model_.geometry_.spacing;
+        run_.forces_.each_held(order, first, [&](int q, std::size_t hold, std::size_t id) {
+            double wrench[wrench_size] = {}, arm[3], arm_bar[3];
+            for (std::size_t side = 0; side < 2; ++side) {
+                const double share = sign * schedule_.reaction_weight[2 * s + side] / table_.dt[s];
+                for (std::size_t i = 0; i < wrench_size; ++i) {
+                    wrench[i] += share * bar_.reaction[(static_cast<std::size_t>(table_.frame[s]) + side) * own + hold * wrench_size + i];
+                }
+            }
+            for (std::size_t c = 0; c < 3; ++c) {
+                arm[c] = model_.geometry_.points[3 * id + c] + static_cast<double>(u[static_cast<int>(c)][q]) - run_.centre(0, hold, substep, c);
+            }
+            const double* torque = wrench + 3;
+            for (std::size_t c = 0; c < 3; ++c) {
+                const std::size_t a = (c + 1) % 3, b = (c + 2) % 3;
+                const int i = static_cast<int>(c), j = static_cast<int>(a), k = static_cast<int>(b);
+                bars.momentum[i][q] = static_cast<T>(wrench[c] + torque[a] * arm[b] - torque[b] * arm[a]);
+                arm_bar[c] = static_cast<double>(momentum[j][q]) * torque[b] - static_cast<double>(momentum[k][q]) * torque[a];
+                bars.arm[i][q] = static_cast<T>(arm_bar[c]);
+                bars.affine.e[k][j][q] += static_cast<T>(quarter * torque[c]);
+                bars.affine.e[j][k][q] -= static_cast<T>(quarter * torque[c]);
+            }
+            for (std::size_t c = 0; c < 3; ++c) {
+                double* to = &pose[stride * hold + at];
+                to[9 + c] -= arm_bar[c];
+                for (std::size_t j = 0; j < 3; ++j) {
+                    to[3 * c + j] -= arm_bar[c] * model_.geometry_.hold_centre[3 * hold + j];
+                }
+            }
+        });
+        return bars;
+    }
+    /// Bars of what held particles take in substep n, of their velocities; returns those of their places before it.
+    Vec3<P> reverse_taken(std::size_t c, int n, const MlsOrder<T>& order, std::size_t p, T h, const ParticlePoint<P>& point,
+                          ParticlePoint<P>& bar) {
+        const P mass = run_.forces_.fixed(order, fixed_mass, p);
+        const Vec3<P> before = point.u - broadcast<T>(h) * point.v;
+        const HeldBars held = held_bars(order, p, n, -1.0, before, mass * point.v, taken_pose_[c], 12, 0);
+        bar.v = bar.v + mass * held.momentum;
+        bar.c = bar.c + mass * held.affine;
+        T* mass_bar = particles_.at(fixed_mass, p);
+        store<T>(mass_bar, load<T>(mass_bar) + dot(held.momentum, point.v) + inner(held.affine, point.c));
+        return held.arm;
     }
 
     void reverse_chunk(std::size_t c, int n, const MlsState<T>& record, bool forces) {
@@ -220,7 +292,7 @@ class MlsStepReverse {
         const PlainPass<T> pass = run_.plain_pass(h, forces);
         const bool hot = forces && run_.forces_.plain() && !table_.is_frame(n + 1);
         for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
-            if (hot && run_.forces_.plain_tile(*record.order, t)) {
+            if (hot && run_.forces_.plain_tile(*record.order, t) && !(reacting() && run_.tile_reacts(*record.order, t))) {
                 run_.stand_tile(plain.took, *record.order, record.moving, record.box, t, limits);
                 gather_rows<T>(plain.took, record.grid.data(), model_.axis_, record.box);
                 plain_given<T>(plain, record.moving.data(), t, pass, *record.order, model_.axis_, bar_box_, inside(bar_box_, bar_ranges_[c]));
@@ -286,9 +358,17 @@ class MlsStepReverse {
             if (forces) {
                 reverse_given(c, t, *record.order, points, record.history.data(), bars);
             }
+            Vec3<P> late[tile_packs] = {};  // bars of the places before the substep
+            for (int k = 0; k < tile_packs; ++k) {
+                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                if (reacts(*record.order, p)) {
+                    late[k] = reverse_taken(c, n, *record.order, p, h, points[k], bars[k]);
+                }
+            }
             for (int k = 0; k < tile_packs; ++k) {
                 ParticlePoint<P>& bar = bars[k];
                 bar.v = bar.v + broadcast<T>(h) * bar.x;
+                bar.x = bar.x + late[k];
                 bar.c = bar.c + broadcast<T>(h) * (bar.f * transpose(before[k]));
                 bar.f = bar.f + broadcast<T>(h) * (transpose(points[k].c) * bar.f);
                 tile.set_q(k, bar.v);
@@ -342,6 +422,8 @@ class MlsStepReverse {
     MlsParticleBars<T> particles_;
     std::vector<MlsChunkSums> sums_;
     MlsGrids<T> grids_;
+    const Schedule& schedule_;
+    std::vector<std::vector<double>> taken_pose_;  // by chunk: (holds, 12) of what held particles take
     ParticleTrajectory<T> bar_;  // of the loss
     std::shared_ptr<const MlsOrder<T>> bar_order_;
     Buffer<T> bars_;               // of what moves, laid out like it
