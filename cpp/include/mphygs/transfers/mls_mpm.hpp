@@ -74,7 +74,7 @@ template <class T>
 class MlsMpm {
   public:
     /// Throws std::invalid_argument where sizes disagree, a place or hold does not exist, or
-    /// `hold_compliance` is asked for (this scheme imposes velocities and has no reaction).
+    /// `hold_compliance` is asked for (this scheme imposes velocities, whatever that takes).
     MlsMpm(MlsGeometry geometry, MlsSettings settings);
 
     std::size_t particle_count() const { return geometry_.particle_count(); }
