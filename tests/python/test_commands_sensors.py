@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file
 
 import mphygs
 from command_example import answer, call
@@ -16,6 +17,7 @@ from mphygs.compare import __main__ as compare
 from mphygs.compare.sensed import sensor_lines
 from mphygs.diagnose import __main__ as diagnose
 from mphygs.fit import __main__ as fit
+from mphygs.fit import checkpointed
 from mphygs.report import __main__ as report
 from mphygs.synth import __main__ as synth
 
@@ -77,6 +79,25 @@ def test_without_them_markers_tell_the_ratio_alone(capture: Path, tmp_path: Path
     for key in ("bar.youngs_modulus", "bar.density"):
         assert not found["parameters"][key]["determined"]
         assert "only" in found["parameters"][key]["note"]
+
+
+def test_a_fit_that_goes_on_ends_at_the_same_bits(
+    capture: Path, fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, out = checkpointed.Run.save, tmp_path / "again"
+
+    def broken_off(run: checkpointed.Run) -> None:
+        whole(run)
+        if len(run.history) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpointed.Run, "save", broken_off)
+    assert call(fit.main, capture, *COARSE, "--out", out)[0] == 130
+    monkeypatch.undo()
+    resumed = answer(fit.main, "--out", out, "--resume")
+    assert resumed["parameters"] == document(fitted / "run.json")["answer"]["parameters"]
+    one, other = (load_file(folder / "numbers.safetensors") for folder in (out, fitted))
+    assert all(one[key].tobytes() == other[key].tobytes() for key in other)
 
 
 def test_compare_tells_how_far_readings_are_off_and_draws_them(fitted: Path) -> None:

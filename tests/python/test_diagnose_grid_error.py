@@ -16,7 +16,7 @@ class Grids:
 
     def __init__(self, error: np.ndarray, *, fails: tuple[float, ...] = ()) -> None:
         self.error, self.fails, self.asked = error, fails, []
-        self.observations = {"a": SimpleNamespace(whitener=self._whitener)}
+        self.observations = {"a": SimpleNamespace(whitener=self._whitener, sensors=())}
 
     def window(self, spacing: float, share: float) -> SimpleNamespace:
         assert spacing == SPACING
@@ -34,7 +34,7 @@ class Grids:
         self.asked.append(spacing / SPACING)
         if any(abs(spacing / SPACING - ratio) < 1e-9 for ratio in self.fails):
             raise SimulationError("too soft")
-        return SimpleNamespace(position=self.position(spacing)[:last])
+        return SimpleNamespace(position=self.position(spacing)[:last], readings=())
 
     def position(self, spacing: float) -> np.ndarray:
         return self.error * (spacing / SPACING) ** 2

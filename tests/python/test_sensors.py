@@ -11,6 +11,8 @@ from bar_capture import DOWN, bar_belief, bar_capture
 from mphygs.capture.format import Capture
 from mphygs.capture.motions import ramp
 from mphygs.capture.rotation import quaternion_from_rotation_vector
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.gradient_optimisers import cost_and_gradient
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
@@ -256,3 +258,22 @@ def test_weights_at_a_frame_are_exact_for_parabolas() -> None:
         most = 2 if 0 < frame < len(steps) else 1
         for power in range(most + 1):
             assert own @ (middle - ends[frame]) ** power == pytest.approx(float(power == 0), abs=1e-9)
+
+
+def test_the_cost_and_its_gradient_have_the_sensors_in_them() -> None:
+    frames = 8
+    capture = moved_bar(frames, fit=(0, frames))
+    experiment = Experiment.of(capture, Settings(0.012, workers=1, dtype="float64"))
+    problem = replace(experiment.problem(0.012), substep=4e-4)
+    belief = bar_belief(capture, youngs_modulus=(6e4, 3e4), free=FREE[:2])
+    evaluation = problem.evaluate(belief)
+    assert evaluation.sensor_rows["a"] == slice(3 * 4 * frames, evaluation.data_rows)
+    assert evaluation.data_rows - 3 * 4 * frames == 9 * (frames - 2)
+    cost, gradient = cost_and_gradient(problem, belief)
+    assert cost == pytest.approx(evaluation.cost, rel=1e-12)
+    np.testing.assert_allclose(gradient, evaluation.jacobian.T @ evaluation.residual, rtol=1e-8)
+    bare = replace(capture, sequences=(replace(capture.sequences[0], sensors=()),))
+    without = Experiment.of(bare, Settings(0.012, workers=1, dtype="float64")).problem(0.012)
+    alone = replace(without, substep=4e-4).evaluate(belief)
+    np.testing.assert_array_equal(alone.residual[: 12 * frames], evaluation.residual[: 12 * frames])
+    np.testing.assert_array_equal(alone.jacobian[: 12 * frames], evaluation.jacobian[: 12 * frames])

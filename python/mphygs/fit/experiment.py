@@ -11,11 +11,10 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Assessment, Compared, assess
 from mphygs.compare.noise import Observation, observe
-from mphygs.compare.sensed import ComparedSensor, with_grid
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Problem
+from mphygs.fit.sensor_noise import compared_sensors, full, with_grid_error
 from mphygs.model.belief import Belief
-from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.measured_start import of_sequence
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
@@ -154,16 +153,9 @@ class Experiment:
         spacing, belief = self.settings.spacing, self.reference
         used = [r for r in (self.fitted.get(name, (0, 0)), self.unseen(name)) if r[1] > r[0]]
         last = max((b for _, b in used), default=self.capture.sequence(name).frames)
-        try:
-            fine, coarse = (
-                self.predictor(name, width).predict(belief, last=last).readings
-                for width in (spacing, spacing * REFINEMENT)
-            )
-        except SimulationError:
-            return
-        whole = REFINEMENT**2 - 1.0
-        errors = [(b.value - a.value) / whole for a, b in zip(fine, coarse, strict=True)]
-        self.observations[name] = replace(self.observations[name], sensors=with_grid(sensors, errors))
+        fine, coarse = self.predictor(name, spacing), self.predictor(name, spacing * REFINEMENT)
+        counted = with_grid_error(sensors, fine, coarse, REFINEMENT, belief, last)
+        self.observations[name] = replace(self.observations[name], sensors=counted)
 
     def predictor(self, name: str, spacing: float) -> Predictor:
         """The simulator of one sequence, fitted or not."""
@@ -252,15 +244,12 @@ class Experiment:
             total = predictor.recording.frames
             item = Compared(
                 self.observations[name],
-                _full(prediction.position, total),
-                _full(prediction.jacobian, total),
+                full(prediction.position, total),
+                full(prediction.jacobian, total),
                 predictor.attachment.part,
                 fit,
                 predict,
-                sensors=tuple(
-                    ComparedSensor(sensor, _full(r.value, total), _full(r.jacobian, total))
-                    for sensor, r in zip(self.observations[name].sensors, prediction.readings, strict=True)
-                ),
+                sensors=compared_sensors(self.observations[name].sensors, prediction, total),
             )
             out[name] = self._refined(name, item, known, spacing, beside) if refine else item
         return out
@@ -291,24 +280,17 @@ class Experiment:
         # Richardson: the whole error is the change over 1 - r^2, r the ratio of the spacings.
         whole, total = 1.0 - (other / spacing) ** 2, len(item.predicted)
         sensors = tuple(
-            replace(one, refinement=_full((reading.value - one.predicted[:last]) / whole, total))
+            replace(one, refinement=full((reading.value - one.predicted[:last]) / whole, total))
             for one, reading in zip(item.sensors, prediction.readings, strict=True)
         )
         moved = prediction.position - item.predicted[:last]
-        return replace(item, refinement=_full(moved / whole, total), sensors=sensors)
+        return replace(item, refinement=full(moved / whole, total), sensors=sensors)
 
     def assess(self, compared: Mapping[str, Compared]) -> Assessment:
         """The statistics of a comparison."""
         names = tuple(part.name for part in self.capture.parts)
         centers = np.array([part.vertices.mean(0) for part in self.capture.parts])
         return assess(compared, names, part_centers=centers)
-
-
-def _full(array: np.ndarray, frames: int) -> np.ndarray:
-    """Zeros after the frames that were computed, so that indices are the recording's."""
-    out = np.zeros((frames, *array.shape[1:]))
-    out[: len(array)] = array
-    return out
 
 
 __all__ = ["Experiment", "Solution"]
