@@ -16,7 +16,7 @@ def with_grid_error(
     """The sensors of a sequence with the finer grid's error at a belief, as they are where it cannot be
     simulated.
 
-    ratio: of the grids' spacings, above 1; by Richardson the error is their difference over ratio^2 - 1; last:
+    ratio: of the spacings, above 1; by Richardson the error is their difference over ratio^2 - 1; last:
     of the frames that are looked at, from 0 on.
     """
     read = []
