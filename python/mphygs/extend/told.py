@@ -23,7 +23,7 @@ from mphygs.capture.record import Capture
 from mphygs.diagnose.force_readings import WORDS
 from mphygs.diagnose.missing_force_document import PLUGIN
 from mphygs.fit.belief_document import belief_from_document
-from mphygs.fit.run_checks import check_belief_document
+from mphygs.fit.run_checks import check_belief_document, check_limits
 from mphygs.fit.schedule import check_spacing
 from mphygs.model.registry import effects
 
@@ -81,7 +81,11 @@ _STD = maybe(size)
 _ERROR = record({"rms": size, "max": size, "rms_over_sigma": size, "count": count})
 _PARAMETER = record(
     {"value": number, "std": _STD, "unit": sentence, "determined": Entry.flag},
-    {"note": sentence, "interval": many(number, least=2, most=2)},
+    {
+        "note": sentence,
+        "interval": many(number, least=2, most=2),
+        "bound": record({}, {"lower": number, "upper": number}),
+    },
 )
 _TOLD = {
     "effects": _NAMES,
@@ -167,7 +171,8 @@ _STATE = record(
         "since": lambda entry: entry.within(0.0, 1.0, "a share"),
         "reconciled": Entry.flag,
         "warnings": many(sentence),
-    }
+    },
+    {"limits": maybe(check_limits)},
 )
 _RANKING = record(
     {
