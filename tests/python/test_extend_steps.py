@@ -177,9 +177,9 @@ def test_a_step_and_its_run_tell_a_bound_as_a_fit_does(tmp_path: Path) -> None:
     assert entry == plain(state.answer)["parameters"][KEY]
     assert not entry["determined"] and entry["std"] > entry["value"]
     assert 1e4 < entry["bound"]["lower"] < 2e7 and "at least" in entry["note"]
-    # What is known of it goes on with the step, and to the run that it ends in, whatever the first fit left.
     known = bounded(step, experiment)
-    assert again(experiment, known).limits == known.limits
+    assert bounded(again(experiment, known), experiment).limits == known.limits
+    # And so does the run that it ends in, whatever the first fit left.
     begun = replace(state, history=(replace(state.history[-1], misfit=40.0),))
     run_at(begun, tmp_path / "grown", step, experiment, options={}, answer=None).save()
     assert parameters_of(load_run(tmp_path / "grown"))[KEY] == entry
@@ -197,3 +197,19 @@ def test_a_table_tells_what_was_added_as_its_step_does() -> None:
     told = with_told(rows, parameters, ("tether",))
     assert told[0]["estimate"] == {"k": 9e5, "anchor_x": 0.1} and told[0]["std"] == {}
     assert told[1] == rows[1]
+
+
+def test_a_step_of_which_no_grid_told_counts_what_a_coarser_one_changes() -> None:
+    """Recorded on a fine grid and fitted on a coarse one, without a refinement: the stiffness is off by many
+    of the noise's deviations, and by few of those that it is told with."""
+    capture = bar_capture(frames=24, fps=100.0, fit=(0, 24))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=(KEY,))
+    experiment = Experiment.of(recorded(capture, truth, FINE), Settings(COARSE, workers=1))
+    belief = minimise(experiment.problem(COARSE), experiment.starting(truth), iterations=8).belief
+    step = step_at(experiment, belief, COARSE)
+    off = abs(np.log(belief[KEY].value / 6e4))
+    noise = np.sqrt(covariance(step.solution.evaluation)[0, 0])
+    entry = step_document(step, experiment, ())["parameters"][KEY]
+    assert entry["determined"] and off > 5.0 * noise
+    assert 0.3 * off < entry["std"] / entry["value"] < 5.0 * off
+    assert bounded(step, experiment).refitted(step.solution, step.compared, step.assessment).change is None

@@ -165,7 +165,7 @@ def test_vibrations_that_fit_in_several_phases_tell_a_stiffness_roughly() -> Non
             tall = self.load / root**2
             slope = swings * tall * (np.cos(7.0 * t * root) + 3.5 * t * root * np.sin(7.0 * t * root))
             left = swings * (self.seen - tall * np.cos(7.0 * t * root))
-            return SimpleNamespace(residual=left, jacobian=slope[:, None], data_rows=240, rows={})
+            return SimpleNamespace(residual=left, jacobian=slope[:, None], data_rows=240, rows={}, misfit=1.0)
 
     once, twice = 1.4 * np.cos(7.0 * t), 1.4 * (np.cos(7.0 * t) + np.cos(7.0 * 1.035 * t))
     known, other = (found(Ringing(1.4, seen=seen)) for seen in (once, twice))

@@ -58,7 +58,7 @@ class Compared:
 @dataclass(frozen=True, eq=False)
 class Whitened:
     """All compared rows, sequences one after the other. seen: rows of frames that were fitted; sigma: (N,) of
-    the noise of each row's sequence [m]."""
+    the noise of each row's sequence and frame [m]."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -96,7 +96,7 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
                 frame[used],
                 np.full(int(used.sum()), number),
                 seen[used],
-                np.full(int(used.sum()), item.observation.sigma),
+                item.observation.sigma * item.observation.frames_of_noise[frame[used]],
             )
         )
     joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]

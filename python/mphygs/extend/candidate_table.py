@@ -10,7 +10,8 @@ from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import Step, excess
 from mphygs.fit.levenberg_marquardt import covariance
-from mphygs.fit.tables import FAR, table
+from mphygs.fit.limits import FAR
+from mphygs.fit.tables import table
 from mphygs.model.belief import Belief
 
 Row = dict[str, object]

@@ -67,6 +67,7 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
         first, last = item.frames
         residual = np.full_like(item.observation.position, np.nan)
         residual[first:last] = item.observation.position[first:last] - item.predicted[first:last]
+        residual /= item.observation.frames_of_noise[:, None, None]
         markers = experiment.capture.sequence(name).markers
         bad = bad_observations(residual, markers.at, item.observation.sigma)
         # Frames outside the compared ranges keep what they have.

@@ -37,7 +37,8 @@ class Step:
     coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
     the model as it had been fitted on the coarser grid that it was brought from; halfway: of a first model,
     as it had been fitted to half the frames on this grid; warnings: what was said on the way to it; limits:
-    how far its numbers can be moved, None where that was not asked (see `bounded`);
+    how far its numbers can be moved, None where that was not asked (see `bounded`), and with it change: (N,)
+    error of the grid in the measured rows, by a coarser one;
     table: the candidates of the round that led to it (see `candidate_rows`)."""
 
     belief: Belief
@@ -58,6 +59,7 @@ class Step:
     halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
     limits: Mapping[str, Limits] | None = None
+    change: np.ndarray | None = None
     table: tuple[dict[str, object], ...] = ()
 
     def refitted(
@@ -70,7 +72,7 @@ class Step:
             solution=solution,
             compared=compared,
             assessment=assessment,
-            **({"limits": None} | changes),
+            **({"limits": None, "change": None} | changes),
         )
 
     @property

@@ -19,13 +19,14 @@ from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import Solution, covariance
-from mphygs.fit.limits import limits_document, limits_from_document, narrowed_to_seen
+from mphygs.fit.limits import FAR, narrowed_to_seen
 from mphygs.fit.of_run import errors_of
-from mphygs.fit.one_sided import limits_at
+from mphygs.fit.one_sided import coarser_change, limits_of
 from mphygs.fit.places import located, movable, with_places
 from mphygs.fit.problem import Problem
 from mphygs.fit.run import Run, StageRecord
 from mphygs.fit.tables import number_text, parameters_told
+from mphygs.fit.uncertainty import grid_moves
 from mphygs.model.belief import Belief
 
 
@@ -73,7 +74,6 @@ def state_of(step: Step) -> dict[str, object]:
         "moved": dict(step.moved),
         "rough": step.rough and document_of_belief(step.rough),
         "since": step.since,
-        "limits": None if step.limits is None else limits_document(step.limits),
         "reconciled": step.reconciled,
         "warnings": list(step.warnings),
     }
@@ -102,7 +102,6 @@ def restored(
         dropped=tuple(name for name in before if name not in document["effects"]),
         since=state["since"],
         reconciled=state["reconciled"],
-        limits=None if state.get("limits") is None else limits_from_document(state["limits"]),
         moved=state["moved"],
         rough=rough and belief_from_document(rough),
         warnings=tuple(state["warnings"]),
@@ -123,7 +122,8 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     """How sure a step is: by the noise, what of it lasts or is shared by markers, places that were fitted and
     boundaries that pictures leave unsure, and in the covariance by the grid as well: by how far its numbers
     came from a coarser one, and by what a refinement of its prediction would move where one is known,
-    whichever is more. Of numbers that are known to show on one side alone it knows nothing.
+    whichever is more; where neither is known, by what a coarser grid changes, if that was asked (see
+    `bounded`). Of numbers that are known to show on one side alone it knows nothing.
 
     What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
     noise, and even that says too little, for it goes on from frame to frame.
@@ -145,15 +145,25 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
         shift = grid_shift(step.compared, rows.T @ rows)
     shift = _larger(shift, np.array([step.moved.get(p.key, 0.0) for p in step.belief.free]))
     spread = spread + np.outer(shift, shift)
+    if step.change is not None and not shift.any():
+        # Nothing else tells of the grid.
+        moved = grid_moves(grid, evaluation, step.change, noise)
+        spread = spread + moved @ moved.T
     information, spread = narrowed_to_seen(step.belief.free, information, spread, step.limits or {})
     return Uncertainty(spread, information, known.std)
 
 
 def bounded(step: Step, experiment: Experiment) -> Step:
-    """The step that knows how far its numbers can be moved (see `limits_at`)."""
+    """The step that knows how far its numbers can be moved (see `limits_of`), and what a coarser grid changes
+    in its prediction."""
     if step.limits is not None:
         return step
-    return replace(step, limits=limits_at(experiment, step.belief, step.solution.evaluation, step.spacing))
+    belief, evaluation = step.belief, step.solution.evaluation
+    if evaluation.misfit > FAR:
+        return replace(step, limits={})
+    change = coarser_change(experiment, belief, evaluation, step.spacing)
+    limits = limits_of(experiment.problem(step.spacing), belief, evaluation, change)
+    return replace(step, limits=limits, change=change)
 
 
 def told_parameters(step: Step, experiment: Experiment) -> dict[str, dict[str, object]]:

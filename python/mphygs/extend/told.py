@@ -23,7 +23,7 @@ from mphygs.capture.record import Capture
 from mphygs.diagnose.force_readings import WORDS
 from mphygs.diagnose.missing_force_document import PLUGIN
 from mphygs.fit.belief_document import belief_from_document
-from mphygs.fit.run_checks import check_belief_document, check_limits
+from mphygs.fit.run_checks import check_belief_document
 from mphygs.fit.schedule import check_spacing
 from mphygs.model.registry import effects
 
@@ -171,8 +171,7 @@ _STATE = record(
         "since": lambda entry: entry.within(0.0, 1.0, "a share"),
         "reconciled": Entry.flag,
         "warnings": many(sentence),
-    },
-    {"limits": maybe(check_limits)},
+    }
 )
 _RANKING = record(
     {

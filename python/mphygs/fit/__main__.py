@@ -23,7 +23,7 @@ from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.limits import narrowed_to_seen
 from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.of_run import capture_of, feedback_document
-from mphygs.fit.one_sided import limits_at
+from mphygs.fit.one_sided import coarser_change, limits_of
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
@@ -170,7 +170,8 @@ def fitted(
     problem, evaluation = experiment.problem(state.settings.spacing), None
     if state.stages is None and not screening:  # the first of many models is no one's answer
         evaluation = problem.evaluate(state.belief)
-        limits = limits_at(experiment, state.belief, evaluation, state.settings.spacing)
+        change = coarser_change(experiment, state.belief, evaluation, state.settings.spacing)
+        limits = limits_of(problem, state.belief, evaluation, change)
         information, spread = narrowed_to_seen(
             state.belief.free, state.information, state.covariance, limits
         )

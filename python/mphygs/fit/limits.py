@@ -11,6 +11,9 @@ import numpy as np
 from mphygs.fit.determined import SAYS_NOTHING, determinations, reference_std
 from mphygs.model.belief import Parameter
 
+# Of the noise [sigma]: a model that leaves more determines nothing, however well the motion would tell it.
+FAR = 5.0
+
 
 @dataclass(frozen=True)
 class Limits:

@@ -24,10 +24,9 @@ from scipy.linalg import cho_factor, cho_solve
 from mphygs.fit.determined import reference_std
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance
-from mphygs.fit.limits import Limits
+from mphygs.fit.limits import FAR, Limits
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.schedule import screening_spacing
-from mphygs.fit.tables import FAR
 from mphygs.fit.uncertainty import grid_directions, prediction_change
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
@@ -61,11 +60,12 @@ def limits_of(
     numbers, where the motion goes by leaps.
 
     evaluation: of the belief, at its minimum, with Jacobian; change: (N,) error of the grid in the measured
-    rows (see `prediction_change`), None where it is not known. What cannot be simulated does not fit, on the
-    side of less; on that of more it says nothing.
+    rows (see `coarser_change`), None where it is not known. What cannot be simulated does not fit, on the
+    side of less; on that of more it says nothing. None are told of a model that leaves far more than noise:
+    what it lacks would be taken for a bound.
     """
     amounts = [p for p in belief.free if _is_amount(p)]
-    if not amounts:
+    if not amounts or evaluation.misfit > FAR:
         return {}
     leaps = not derivatives_hold(problem, belief, evaluation)
     grid = [] if change is None else [grid_directions(problem, evaluation, change)]
@@ -109,25 +109,17 @@ def derivatives_hold(problem: Problem, belief: Belief, evaluation: Evaluation) -
     return not moved or float(np.mean(moved)) > HOLDS**2
 
 
-def limits_at(
+def coarser_change(
     experiment: Experiment, belief: Belief, evaluation: Evaluation, spacing: float
-) -> dict[str, Limits]:
-    """`limits_of` a belief that was fitted on a grid of `spacing` [m], whose error a coarser one tells where
-    it can carry the belief.
-
-    evaluation: of the belief on that grid, with Jacobian. None are told of a model that leaves far more than
-    noise: what it lacks would be taken for a bound.
-    """
-    if evaluation.misfit > FAR:
-        return {}
+) -> np.ndarray | None:
+    """(N,) error of a grid of `spacing` [m] in the measured rows, by the prediction on a coarser one; None
+    where that cannot carry the belief. evaluation: of the belief on the grid."""
     coarser = max(screening_spacing(experiment.capture), COARSER * spacing)
     try:
         coarse = experiment.problem(coarser).evaluate(belief, jacobian=False)
     except SimulationError:
-        change = None
-    else:
-        change = prediction_change(evaluation, coarse, coarser / spacing)
-    return limits_of(experiment.problem(spacing), belief, evaluation, change)
+        return None
+    return prediction_change(evaluation, coarse, coarser / spacing)
 
 
 def _is_amount(p: Parameter) -> bool:

@@ -7,14 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mphygs.fit.determined import determinations, of_unit_length
-from mphygs.fit.limits import Limits, with_bounds
+from mphygs.fit.limits import FAR, Limits, with_bounds
 from mphygs.fit.places import places_document
 from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
-
-# Of the noise [sigma]: a model that leaves more determines nothing, however well the motion would tell it.
-FAR = 5.0
 
 
 def parameters_of(run: Run, found: Mapping[str, Interval] | None = None) -> dict[str, dict[str, object]]:
