@@ -25,8 +25,8 @@ KEY = "part0.youngs_modulus"
 
 
 class Shoulder:
-    """A minimum at 100 kPa whose wall on the soft side ends on a shoulder from which the cost falls by half of
-    `deep` in the end; softer than `least` nothing can be simulated."""
+    """A minimum at 100 kPa whose wall on the soft side ends on a shoulder, from which the cost falls by half
+    of `deep` in the end; softer than `least` nothing can be simulated."""
 
     def __init__(self, deep: float, least: float = 0.0) -> None:
         self.deep, self.least = deep, least
