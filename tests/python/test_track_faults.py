@@ -277,3 +277,9 @@ def test_noise_that_lasts_over_the_resting_frames_is_no_survey(seed: int) -> Non
     error = 6e-4 * random.standard_normal(clean.at.shape)
     found = marker_survey.check(replace(clean, position=position, at=clean.at + error))
     assert only(found, "marker_survey")["sigma"] == pytest.approx(6e-4, rel=0.35)
+
+
+def test_tracks_of_nothing_are_passed_on_as_they_are() -> None:
+    tracks = moving(0)
+    zeros = seen(np.zeros_like(tracks.position), tracks)
+    assert only(zeros, "zero_gaps")["count"] == FRAMES * 30 and np.isnan(zeros.position).all()

@@ -108,7 +108,8 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 true[:, mine] = np.einsum("tij,mj->tmi", rotation, at) + shift[:, None]
             rest = without_faults(position[:, held] - true, times, true)
             what = "markers on what is held"
-    stated, sigma = _stated(markers), markers.sigma if markers.sigma else DEFAULT_SIGMA
+    stated = markers.stated or DEFAULT_SIGMA
+    sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
     own = None if markers.scatter is None else markers.each / sigma
     if own is not None and rest is not None:
         rest = rest / (own if rest.shape[1] == len(own) else own[held])[:, None]
@@ -152,12 +153,6 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
         changes = f"not the same in all frames: {low:.2g} to {high:.2g} mm, each is weighed by its own"
         noise = replace(noise, source=f"{noise.source}; {changes}")
     return Observation(position, noise, np.ones(position.shape[1]), stated, seen, course)
-
-
-def _stated(markers: Markers) -> float:
-    """Sigma as the capture states it [m], whatever its tracks showed when they were read."""
-    told = (finding.numbers.get("stated") for finding in markers.findings)
-    return next((value for value in told if value), markers.sigma or DEFAULT_SIGMA)
 
 
 def noise_document(observations: Mapping[str, Observation]) -> dict[str, dict[str, object]]:
