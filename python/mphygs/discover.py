@@ -230,7 +230,7 @@ def _conclude(
         "effects": list(found.effects),
         "run": str(out),
         "warnings": list(found.warnings),
-        "table": next((d["table"] for d in done.documents if d["table"]), list(found.table)),
+        "table": done.table(found.table),
         "path": path_rows(plain(done.documents)),
         "missing_force": None if missing is None else missing.document(),
     }
@@ -243,7 +243,8 @@ def _conclude(
         entries = ranking_entries(found.steps, found.rankings[0], experiment)
         drift = drift_entries(found.rankings[0])
     if entries is not None:
-        document = diagnosis_document(found, entries, missing, drift=drift, path=answer["path"])
+        told = {"table": answer["table"], "path": answer["path"]}
+        document = diagnosis_document(found, entries, missing, drift=drift, **told)
         replace_file(out / DIAGNOSIS, json.dumps(plain(document), indent=1) + "\n")
     return answer
 

@@ -70,6 +70,11 @@ class Kept:
             for state, document, earlier in zip(self.states, self.documents, before, strict=False)
         ]
 
+    def table(self, otherwise: Sequence[Mapping] = ()) -> list[Mapping]:
+        """The candidates of the first round that led to a step, as that step tells them; otherwise: those of
+        a round that led to none."""
+        return list(next((told["table"] for told in self.documents if told["table"]), otherwise))
+
     def document(self, experiment: Experiment) -> dict[str, object]:
         """The JSON to go on from, with the measurements that are left out."""
         return {
