@@ -143,13 +143,27 @@ def test_masks_that_are_inverted(tmp_path: Path) -> None:
     assert "6 of 6 masks are white all round and black inside: they look inverted" in rest.complaint()
 
 
+@pytest.mark.parametrize("k1", [1e300, 1e9, -1e6])
+def test_lenses_that_no_camera_has(k1: float, tmp_path: Path) -> None:
+    rest = Rest(tmp_path)
+    rest.document["k1"] = k1
+    assert "is left once the lens distortion of view0 is undone" in rest.complaint()
+
+
+def test_masks_that_show_no_edge_at_all(tmp_path: Path) -> None:
+    rest = Rest(tmp_path)
+    for name in rest.names:
+        write_image(tmp_path / name.replace("images", "masks"), np.ones((SIZE, SIZE)))
+    assert "all 6 masks are white all over: nowhere does the object end" in rest.complaint()
+
+
 def test_masks_of_objects_that_fill_the_view_are_taken() -> None:
     whole = np.ones((20, 30))
     ring = whole.copy()
     ring[8:12, 10:20] = 0.0
     edge = whole.copy()
     edge[:, :6] = 0.0
-    check_masks("m", [whole] * 5)
+    check_masks("m", [whole] * 4 + [edge])
     check_masks("m", [edge] * 5)
     check_masks("m", [ring, edge, edge, whole])
     with pytest.raises(CaptureError, match="look inverted"):
