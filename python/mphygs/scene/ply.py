@@ -35,6 +35,8 @@ def read_gaussians(path: Path, scale: float = 1.0) -> Gaussians:
     truncated, holds numbers that are not finite, or an object of no sensible size.
     """
     table = _read_vertices(path)
+    if not len(table):
+        raise fault(str(path), "holds no Gaussian", _EXPECTED)
     names = table.dtype.names or ()
 
     def columns(*wanted: str) -> np.ndarray:
@@ -86,8 +88,6 @@ def read_gaussians(path: Path, scale: float = 1.0) -> Gaussians:
 def _check_size(path: Path, places: np.ndarray, scales: np.ndarray) -> None:
     """Raises CaptureError where most of the Gaussians, at places (N, 3) and of scales (N, 3) [m], make an
     object as large as none is."""
-    if not len(places):
-        raise fault(str(path), "holds no Gaussian", _EXPECTED)
     with np.errstate(over="ignore"):
         apart = np.linalg.norm(np.ptp(np.quantile(places.astype(float), MOST, axis=0), axis=0))
         size = float(apart + np.median(scales.max(axis=1).astype(float)))
