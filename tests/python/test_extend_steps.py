@@ -19,7 +19,16 @@ from mphygs.extend.candidate_table import with_told
 from mphygs.extend.finer import finer
 from mphygs.extend.grids import with_budget
 from mphygs.extend.step import Step, from_grid_to_grid, known_budget
-from mphygs.extend.steps import bounded, restored, run_at, state_of, step_at, step_document, uncertainty
+from mphygs.extend.steps import (
+    bounded,
+    restored,
+    run_at,
+    state_of,
+    step_at,
+    step_document,
+    steps_text,
+    uncertainty,
+)
 from mphygs.fit import __main__ as fit
 from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.boundary_share import boundary_columns
@@ -179,6 +188,7 @@ def test_a_step_and_its_run_tell_a_bound_as_a_fit_does(tmp_path: Path) -> None:
     assert 1e4 < entry["bound"]["lower"] < 2e7 and "at least" in entry["note"]
     known = bounded(step, experiment)
     assert bounded(again(experiment, known), experiment).limits == known.limits
+    assert any(entry["note"] in line for line in steps_text([plain(step_document(known, experiment, ()))]))
     # And so does the run that it ends in, whatever the first fit left.
     begun = replace(state, history=(replace(state.history[-1], misfit=40.0),))
     run_at(begun, tmp_path / "grown", step, experiment, options={}, answer=None).save()

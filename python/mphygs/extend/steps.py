@@ -287,10 +287,11 @@ def steps_text(steps: Sequence[Mapping[str, object]]) -> list[str]:
                 if error is not None and label != "all"
             ]
             lines.append(f"  {name}: {', '.join(errors)}")
-        if step["added"]:
-            for key, entry in step["parameters"].items():
-                if key.rsplit(".", 1)[0] in step["added"]:
-                    lines.append(f"  {key} = {number_text(entry)}")
+        for key, entry in step["parameters"].items():
+            if key.rsplit(".", 1)[0] in step["added"]:
+                lines.append(f"  {key} = {number_text(entry)}")
+            elif entry.get("bound"):
+                lines.append(f"  {key}: {entry['note']}")
         if step["ties"]:
             lines.append(f"  not told apart from: {', '.join(step['ties'])}")
     return lines

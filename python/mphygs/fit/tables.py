@@ -101,7 +101,8 @@ def parameters_text(parameters: Mapping[str, Mapping[str, object]]) -> str:
 def number_text(entry: Mapping[str, object]) -> str:
     """One fitted number in a line."""
     if entry["determined"]:
-        return f"{entry['value']:.4g} +- {entry['std']:.2g} {entry['unit']}"
+        std = "?" if entry["std"] is None else f"{entry['std']:.2g}"
+        return f"{entry['value']:.4g} +- {std} {entry['unit']}"
     return f"{entry['value']:.4g} {entry['unit']}, NOT DETERMINED: {entry.get('note', '')}"
 
 
