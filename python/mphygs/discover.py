@@ -148,9 +148,9 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         report=lambda text: console.say(f"[{duration(console.seconds)}] {text}"),
         on_step=on_step,
     )
-    # Since it was told a step may have moved to a finer grid, and the last one learnt of the grid's share.
+    # Since it was told a step may have moved to a finer grid, and the last one to its minimum.
     for k, step in enumerate(found.steps):
-        if step.spacing != done.states[k]["spacing"] or k and k == len(found.steps) - 1:
+        if step.spacing != done.states[k]["spacing"] or k == len(found.steps) - 1:
             done.tell(step, experiment, k)
     answer = _conclude(out, options, state, experiment, found, done, console)
     _keep(out, done, experiment, options, answer)
@@ -230,7 +230,7 @@ def _conclude(
         "effects": list(found.effects),
         "run": str(out),
         "warnings": list(found.warnings),
-        "table": list(found.table),
+        "table": done.table(found.table),
         "path": path_rows(plain(done.documents)),
         "missing_force": None if missing is None else missing.document(),
     }
@@ -243,7 +243,8 @@ def _conclude(
         entries = ranking_entries(found.steps, found.rankings[0], experiment)
         drift = drift_entries(found.rankings[0])
     if entries is not None:
-        document = diagnosis_document(found, entries, missing, drift=drift, path=answer["path"])
+        told = {"table": answer["table"], "path": answer["path"]}
+        document = diagnosis_document(found, entries, missing, drift=drift, **told)
         replace_file(out / DIAGNOSIS, json.dumps(plain(document), indent=1) + "\n")
     return answer
 

@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 from mphygs.capture.document import Entry
+from mphygs.capture.files import transforms_files
 from mphygs.capture.format import load_capture
 from mphygs.capture.gathered import Files, Tracks, find_files, read_tracks, rest_of, sequence_entry
 from mphygs.capture.layouts import read_scale, unit_remarks
@@ -30,8 +31,8 @@ class InitOptions(CommonOptions):
 
     folder: tyro.conf.Positional[Path]
     """Folder with meshes (.ply, .stl, .obj), markers (.c3d, .npz, .csv), motions of holds (.npz with position
-    and quaternion, named as the markers are) and folders of views (with a transforms.json or a COLMAP
-    model)."""
+    and quaternion, named as the markers are) and folders of views (with a transforms.json, those of splits,
+    or a COLMAP model); without meshes and views at rest, Gaussians (a 3DGS .ply)."""
     name: str | None = None
     """Of the capture; default: that of the folder."""
     fps: float | None = None
@@ -42,7 +43,7 @@ class InitOptions(CommonOptions):
     """In the object frame [m/s^2]."""
     scale: float | None = None
     """Metres per unit of the meshes, 0.001 where they are in mm; without meshes, per unit of the
-    reconstruction that the views' cameras come from. Default: 1."""
+    reconstruction that the views' cameras, or the Gaussians, come from. Default: 1."""
     known_length: Annotated[str | None, tyro.conf.arg(metavar="A,B,METRES")] = None
     """In place of --scale, a distance that was measured [m] and where it is in the reconstruction of the
     views at rest: between the cameras of two pictures, by name, or of two points of a COLMAP
@@ -85,7 +86,8 @@ def init(options: InitOptions, console: Console) -> Answer:
         unit = _unit(files, options)
         shape = _shape(files, options, unit)
         sequences = _sequences(files, options, boxes, console, made)
-        if unit and (scale := read_scale(Entry(unit, str(target), "object"), files.rest_views)) != 1.0:
+        scale = read_scale(Entry(unit, str(target), "object"), files.rest_views) if unit else 1.0
+        if scale != 1.0 and files.rest_views is not None:
             # One reconstruction, one unit.
             sequences = [entry | ({"scale": scale} if "views" in entry else {}) for entry in sequences]
         document = {
@@ -155,17 +157,23 @@ def _shape(files: Files, options: InitOptions, unit: Mapping[str, object]) -> di
         return {"parts": parts}
     if files.rest_views is not None:
         return {"views": files.rest_views.name, **unit}
-    raise OptionError(f"{options.folder}: has no mesh and no folder of views at rest; expected one of them")
+    if files.gaussians is not None:
+        return {"gaussians": files.gaussians.name, **unit}
+    raise OptionError(
+        f"{options.folder}: has no mesh, no folder of views at rest and no Gaussians; expected one of them"
+    )
 
 
 def _unit(files: Files, options: InitOptions) -> dict[str, object]:
-    """What is said of the unit of views at rest; nothing where they are in metres, or there are none."""
-    if options.known_length is not None and (options.scale is not None or files.meshes):
-        where = "the object is given by meshes" if files.meshes else "--scale is given as well"
-        raise OptionError(f"--known-length: {where}; expected {'--scale' if files.meshes else 'one of them'}")
-    if files.meshes or files.rest_views is None:
+    """What is said of the unit of views at rest, or of Gaussians; nothing where they are in metres, or there
+    are none."""
+    shape = "meshes" if files.meshes else "Gaussians" if files.rest_views is None and files.gaussians else ""
+    if options.known_length is not None and (options.scale is not None or shape):
+        where = f"the object is given by {shape}" if shape else "--scale is given as well"
+        raise OptionError(f"--known-length: {where}; expected {'--scale' if shape else 'one of them'}")
+    if files.meshes or (files.rest_views is None and files.gaussians is None):
         return {}
-    if options.known_length is None:
+    if options.known_length is None or files.rest_views is None:
         return {} if options.scale is None else {"scale": options.scale}
     words = [word.strip() for word in options.known_length.split(",")]
     try:
@@ -175,7 +183,7 @@ def _unit(files: Files, options: InitOptions) -> dict[str, object]:
     if len(words) != 3:
         raise OptionError(f"--known-length: got '{options.known_length}'; expected A,B,METRES")
     # Only a COLMAP model has points, by number.
-    points = not (files.rest_views / "transforms.json").is_file()
+    points = not transforms_files(files.rest_views)
     ends = [int(end) if points and end.isascii() and end.isdigit() else end for end in (a, b)]
     return {"known_length": [ends, metres]}
 

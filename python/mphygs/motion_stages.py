@@ -52,7 +52,8 @@ _FOLLOWING = 0.85
 class VideoRun:
     """A capture, the run folder in which its stages stand, and the Gaussians at rest.
 
-    longest: pictures larger along a side are used at a half, a third, ... of their size [px].
+    longest: pictures larger along a side are used at a half, a third, ... of their size [px]; scale: metres
+    per unit of the file of the Gaussians.
     """
 
     capture: Capture
@@ -61,10 +62,14 @@ class VideoRun:
     gaussians: Gaussians
     rest: RestViews | None
     longest: int
+    scale: float = 1.0
 
     @classmethod
-    def open(cls, capture: Path, folder: Path, gaussians: Path | None, longest: int) -> VideoRun:
-        """gaussians: a file of one's own; None for that of the stage `rest`, or of the capture.
+    def open(
+        cls, capture: Path, folder: Path, gaussians: Path | None, longest: int, scale: float = 1.0
+    ) -> VideoRun:
+        """gaussians: a file of one's own, `scale` metres per unit of it; None for that of the stage `rest`,
+        or of the capture.
 
         Raises CaptureError or OptionError, one line, where there is none or it cannot be used.
         """
@@ -73,14 +78,14 @@ class VideoRun:
         loaded = load_capture(capture)
         file = gaussians or folder / GAUSSIANS
         if gaussians is None and not file.is_file() and loaded.gaussians is not None:
-            file = loaded.gaussians
+            file, scale = loaded.gaussians, loaded.gaussians_scale
         if not file.is_file():
             raise OptionError(
                 f"{file}: is not there; expected Gaussians of the object at rest, by mphygs reconstruct "
                 f"{capture} --out {folder}, or a file of your own by --gaussians"
             )
         rest = rest_views_of(loaded) if loaded.views is not None else None
-        return cls(loaded, folder, file, read_gaussians(file), rest, longest)
+        return cls(loaded, folder, file, read_gaussians(file, scale), rest, longest, scale)
 
     def recordings(self, wanted: str | None) -> list[Recording]:
         """The sequences of a comma-separated list; None for all that have videos."""
@@ -105,6 +110,8 @@ class VideoRun:
     def stage(self, kind: str, recording: Recording, made_of: Mapping[str, object]) -> MotionStage:
         """The folder of a stage of a sequence, made of the Gaussians, the videos and `made_of`."""
         sources = {"gaussians": digest_of_files(self.gaussians_file), "longest": self.longest}
+        if self.scale != 1.0:
+            sources["gaussians_scale"] = self.scale
         if recording.views is not None:
             sources["views"] = digest_of_files(recording.views)
         if recording.views_scale != 1.0:

@@ -28,7 +28,7 @@ from mphygs.render.splatting import splat
 from mphygs.scene.agreement import check_first_frame
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.ply import read_gaussians, write_gaussians
-from mphygs.stages import Stage, digest_of, views_digest
+from mphygs.stages import Stage, gaussians_digest, views_digest
 
 PROGRAM = "mphygs reconstruct"
 STAGE, FILES, PICTURE = "rest", ("gaussians.ply",), "picture.png"
@@ -38,7 +38,7 @@ _SHOWN = 4  # views on the picture
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions(CommonOptions):
     """Gaussians of the object at rest, from dense views with masks. What a run has made already is kept; a
-    gaussians.ply of your own in RUN/stages/rest is used instead."""
+    gaussians.ply of your own in RUN/stages/rest, in metres, is used instead."""
 
     capture: tyro.conf.Positional[Path]
     """Folder of the capture."""
@@ -108,7 +108,7 @@ def rest_stage(
             f"{options.longest}; expected at least 1, 100 and 16"
         )
     names = ("iterations", "most_gaussians", "longest", "seed")
-    source = digest_of(capture.gaussians) if capture.views is None else views_digest(capture)
+    source = gaussians_digest(capture) if capture.views is None else views_digest(capture)
     made_of = {name: getattr(options, name) for name in names} | {"source": source}
     stage = Stage.of(options.out, STAGE, FILES, made_of)
     state = stage.state()
@@ -117,7 +117,7 @@ def rest_stage(
     if state != "missing":
         return stage, state, read_gaussians(stage.path(FILES[0]))
     if capture.views is None:
-        gaussians = read_gaussians(capture.gaussians)
+        gaussians = read_gaussians(capture.gaussians, capture.gaussians_scale)
     else:
         rest = rest_views_of(capture)
         photographs = _photographs(capture, rest, options, console)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 import tyro
 
+from mphygs.capture.layouts import SCALES
 from mphygs.capture.rotation import rotation_vector_from_quaternion
 from mphygs.claim import claim
 from mphygs.command import Answer, CommonOptions, Console, OptionError, run
@@ -39,6 +40,8 @@ class VideoOptions(CommonOptions):
     """Sequences; default: all with videos."""
     gaussians: Path | None = None
     """The object at rest as a 3DGS .ply; default: RUN/stages/rest/gaussians.ply."""
+    scale: float | None = None
+    """Metres per unit of --gaussians; default: 1."""
     control_points: int = 250
     """Points that carry the Gaussians."""
     longest: int = 400
@@ -53,8 +56,12 @@ class VideoOptions(CommonOptions):
 
     def open(self) -> VideoRun:
         """What the stages work on; the run folder is held from here."""
+        if self.scale is not None and (self.gaussians is None or not SCALES[0] <= self.scale <= SCALES[1]):
+            why = f"{SCALES[0]:g} to {SCALES[1]:g} metres per unit of --gaussians, beside it"
+            raise OptionError(f"--scale: got {self.scale:g}; expected {why}")
         claim(self.out)
-        return VideoRun.open(self.capture, self.out, self.gaussians, self.longest)
+        scale = 1.0 if self.scale is None else self.scale
+        return VideoRun.open(self.capture, self.out, self.gaussians, self.longest, scale)
 
     def resume(self, program: str) -> str:
         """The command line that goes on where it was broken off: all options that are not as usual."""

@@ -120,5 +120,13 @@ def folder_digest(folder: Path) -> str:
 
 def views_digest(capture: Capture) -> str:
     """The same for the rest views of a capture, in metres."""
-    found = folder_digest(capture.views)
-    return found if capture.views_scale == 1.0 else f"{found} x {capture.views_scale!r}"
+    return _in_metres(folder_digest(capture.views), capture.views_scale)
+
+
+def gaussians_digest(capture: Capture) -> str:
+    """The same for the Gaussians of a capture, in metres."""
+    return _in_metres(digest_of(capture.gaussians), capture.gaussians_scale)
+
+
+def _in_metres(digest: str, scale: float) -> str:
+    return digest if scale == 1.0 else f"{digest} x {scale!r}"

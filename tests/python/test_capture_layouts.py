@@ -143,13 +143,27 @@ def test_masks_that_are_inverted(tmp_path: Path) -> None:
     assert "6 of 6 masks are white all round and black inside: they look inverted" in rest.complaint()
 
 
+@pytest.mark.parametrize("k1", [1e300, 1e9, -1e6])
+def test_lenses_that_no_camera_has(k1: float, tmp_path: Path) -> None:
+    rest = Rest(tmp_path)
+    rest.document["k1"] = k1
+    assert "is left once the lens distortion of view0 is undone" in rest.complaint()
+
+
+def test_masks_that_show_no_edge_at_all(tmp_path: Path) -> None:
+    rest = Rest(tmp_path)
+    for name in rest.names:
+        write_image(tmp_path / name.replace("images", "masks"), np.ones((SIZE, SIZE)))
+    assert "all 6 masks are white all over: nowhere does the object end" in rest.complaint()
+
+
 def test_masks_of_objects_that_fill_the_view_are_taken() -> None:
     whole = np.ones((20, 30))
     ring = whole.copy()
     ring[8:12, 10:20] = 0.0
     edge = whole.copy()
     edge[:, :6] = 0.0
-    check_masks("m", [whole] * 5)
+    check_masks("m", [whole] * 4 + [edge])
     check_masks("m", [edge] * 5)
     check_masks("m", [ring, edge, edge, whole])
     with pytest.raises(CaptureError, match="look inverted"):
@@ -254,3 +268,34 @@ def test_transforms_of_a_video_need_its_size(tmp_path: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps(document))
     with pytest.raises(CaptureError, match='"w" is missing'):
         read_transforms(folder / "transforms.json")
+
+
+@pytest.mark.parametrize("splits", [("train",), ("train", "val", "test"), ("test",)])
+def test_scenes_of_nerf_tell_their_cameras_by_split(splits: tuple[str, ...], tmp_path: Path) -> None:
+    """One file a split, pictures of one name in the folders of all."""
+    rest = Rest(tmp_path, [f"train/r_{k}.png" for k in range(COUNT)])
+    colour, mask = picture()
+    entries = rest.document["frames"]
+    for number, split in enumerate(splits):
+        (tmp_path / split).mkdir(exist_ok=True)
+        frames = []
+        for k in range(3):
+            write_image(tmp_path / split / f"r_{k}.png", np.concatenate([colour, mask[..., None]], axis=2))
+            matrix = entries[(2 * number + k) % COUNT]["transform_matrix"]
+            frames.append({"file_path": f"./{split}/r_{k}", "rotation": 0.01, "transform_matrix": matrix})
+        told = {"camera_angle_x": 0.5, "frames": frames}
+        (tmp_path / f"transforms_{split}.json").write_text(json.dumps(told))
+    views = load_rest_views(tmp_path)
+    assert len(views.read()) == 3 * len(splits)
+    names = {f"{split}-r_{k}" if len(splits) > 1 else f"r_{k}" for split in splits for k in range(3)}
+    assert set(views.views) == names
+    # A transforms.json is the whole of it.
+    whole = [entry | {"file_path": f"{splits[0]}/r_0", "camera": f"v{k}"} for k, entry in enumerate(entries)]
+    rest.document["frames"] = whole
+    assert list(load_rest_views(rest.write()).views) == [f"v{k}" for k in range(COUNT)]
+
+
+def test_a_damaged_split_is_named(tmp_path: Path) -> None:
+    (tmp_path / "transforms_train.json").write_text('{"frames": [')
+    with pytest.raises(CaptureError, match="transforms_train.json"):
+        load_rest_views(tmp_path)

@@ -151,6 +151,12 @@ def test_damaged_c3d(tmp_path: Path) -> None:
         (lambda p: np.concatenate([p, p]), f"markers.npz: position: has 24 frames; expected {FRAMES}"),
         (lambda p: p[:, :3], "markers.npz: position: has 3 markers; expected 4, one for each row of at"),
         (lambda p: p * np.nan, "markers.npz: position: is NaN everywhere; expected measured positions"),
+        (lambda p: 0.0 * np.nan_to_num(p), "markers.npz: position: is zero wherever it is measured"),
+        (lambda p: np.nan_to_num(p).astype(int), "markers.npz: position: is zero wherever it is measured"),
+        (
+            lambda p: np.where(np.arange(3) == 1, np.nan, p),
+            "markers.npz: position: has no place with all of x, y and z",
+        ),
         (
             lambda p: p[..., 0],
             "markers.npz: position: has shape (12, 4); expected numbers of shape (T, M, 3)",

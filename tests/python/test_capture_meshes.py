@@ -211,3 +211,15 @@ def test_read_part_refuses_a_scale_of_zero(tmp_path: Path, scale: float) -> None
     stored(tmp_path, cube())
     with pytest.raises(CaptureError, match=r"f: part.scale: is .*; expected a number above zero"):
         read_part(tmp_path, Entry({"name": "p", "mesh": "m.ply", "scale": scale}, "f", "part"))
+
+
+@pytest.mark.parametrize("index", [-5, 99])
+def test_a_face_that_names_no_vertex_is_told_by_it(index: int, tmp_path: Path) -> None:
+    box = trimesh.creation.box(extents=[0.02] * 3)
+    header = ["ply", "format ascii 1.0", "element vertex 8", *(f"property float {axis}" for axis in "xyz")]
+    header += ["element face 12", "property list uchar int vertex_indices", "end_header"]
+    faces = [*box.faces[:-1].tolist(), [0, 1, index]]
+    rows = [*(" ".join(map(str, v)) for v in box.vertices), *(f"3 {a} {b} {c}" for a, b, c in faces)]
+    (tmp_path / "a.ply").write_text("\n".join([*header, *rows]) + "\n")
+    with pytest.raises(CaptureError, match=f"names vertex {index} of 8, counted from 0"):
+        read_mesh(tmp_path / "a.ply")

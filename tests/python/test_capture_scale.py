@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from command_example import answer, call
-from mphygs import doctor, init
+from gaussian_example import gaussians
+from mphygs import doctor, init, reconstruct
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture, save_capture
 from mphygs.capture.layouts import read_points
 from mphygs.capture.views import rest_views_of, sequence_views_of
+from mphygs.scene.gaussians import Gaussians
+from mphygs.scene.ply import read_gaussians, write_gaussians
 from mphygs.stages import views_digest
 from views_example import COUNT, SIZE, Rest, camera
 
@@ -213,3 +217,64 @@ def test_init_leaves_nothing_of_a_unit_that_is_none(options: tuple, words: str, 
     code, out, said = call(init.main, folder, "--fps", 30, "--frames", 2, *options)
     assert (code, out) == (2, "") and said.count("\n") == 1 and words in said
     assert not (folder / "capture.json").exists()
+
+
+def splats(folder: Path, unit: float, **keys: object) -> Path:
+    """A capture whose object is a 3DGS .ply in another unit."""
+    folder.mkdir(exist_ok=True)
+    write_gaussians(folder / "object.ply", in_unit(unit))
+    document = {
+        "format": "mphygs-capture/1", "name": "x", "gravity": [0, 0, -9.81],
+        "object": {"gaussians": "object.ply", "rest": "stress-free", **keys},
+        "sequences": [{"name": "a", "fps": 30, "frames": 2}],
+    }  # fmt: skip
+    (folder / "capture.json").write_text(json.dumps(document))
+    return folder
+
+
+def in_unit(unit: float) -> Gaussians:
+    known = gaussians(60, features=0)
+    return replace(known, positions=unit * known.positions, scales=unit * known.scales)
+
+
+@pytest.mark.parametrize("keys", [{"scale": METRES}, {"known_length": [[[0, 0, 0], [0, 0, 2]], 2 * METRES]}])
+def test_gaussians_of_another_program_are_made_metres(keys: dict[str, object], tmp_path: Path) -> None:
+    folder = splats(tmp_path / "capture", 1.0 / METRES, **keys)
+    found = load_capture(folder)
+    assert found.gaussians_scale == pytest.approx(METRES)
+    answer(reconstruct.main, folder, "--out", tmp_path / "run")
+    made = read_gaussians(tmp_path / "run" / "stages" / "rest" / "gaussians.ply")
+    true = in_unit(1.0)
+    assert made.positions.numpy() == pytest.approx(true.positions.numpy(), rel=1e-5, abs=1e-7)
+    assert made.scales.numpy() == pytest.approx(true.scales.numpy(), rel=1e-5)
+    assert made.opacities.numpy() == pytest.approx(true.opacities.numpy(), abs=1e-5)
+    save_capture(found, tmp_path / "again")
+    assert load_capture(tmp_path / "again").gaussians_scale == found.gaussians_scale
+    # Another scale is another object: what was made of the first one is not taken for it.
+    splats(folder, 1.0 / METRES, scale=2 * METRES)
+    answer(reconstruct.main, folder, "--out", tmp_path / "run")
+    again = read_gaussians(tmp_path / "run" / "stages" / "rest" / "gaussians.ply")
+    assert again.positions.numpy() == pytest.approx(2.0 * true.positions.numpy(), rel=1e-5, abs=1e-7)
+
+
+def test_gaussians_of_no_sensible_size_say_what_to_state(tmp_path: Path) -> None:
+    code, line = call(reconstruct.main, splats(tmp_path / "capture", 1000.0), "--out", tmp_path / "run")[::2]
+    assert code == 2 and "m; expected 0.001 to 20 m; state scale" in line
+    folder = splats(tmp_path / "named", 1.0, known_length=[["a", "b"], 0.1])
+    code, line = call(reconstruct.main, folder, "--out", tmp_path / "other")[::2]
+    assert code == 2 and "Gaussians have no pictures" in line
+
+
+def test_init_tells_gaussians_from_meshes(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "scene.ply", in_unit(1.0 / METRES))
+    Rest(tmp_path / "motion", [f"images/cam{k}/0.png" for k in range(2)]).write()
+    transforms = json.loads((tmp_path / "motion" / "transforms.json").read_text())
+    for k, entry in enumerate(transforms["frames"]):
+        entry |= {"camera": f"cam{k}", "frame": 0}
+    (tmp_path / "motion" / "transforms.json").write_text(json.dumps(transforms))
+    options = (tmp_path, "--fps", 30, "--frames", 1)
+    assert "expected --scale" in call(init.main, *options, "--known-length", "a,b,1")[2]
+    told = answer(init.main, *options, "--scale", METRES)["document"]
+    assert told["object"]["gaussians"] == "scene.ply" and told["object"]["scale"] == METRES
+    assert "scale" not in told["sequences"][0]
+    assert load_capture(tmp_path).gaussians_scale == METRES

@@ -50,7 +50,7 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
         "refits_of": refits_of,
         "refined": lambda _e, steps, *_, **__: steps[-1], "reconciled": lambda _e, step, _r: step,
         "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "exchanged": lambda *_, **__: None,
-        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (),
+        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (), "bounded": lambda step, _e: step,
     }  # fmt: skip
     for name, function in patches.items():
         monkeypatch.setattr(discover, name, function)

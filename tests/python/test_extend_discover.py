@@ -941,7 +941,7 @@ def test_what_explains_too_little_is_not_kept(
 
     whole = (1.0, first.solution)
     patches: dict[str, Callable] = {
-        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (),
+        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (), "bounded": lambda step, _e: step,
         "ranked": lambda *_, **__: (whole, False, ranking_of()), "refits_of": refits_of,
         "choose": lambda refits: (refits[0], []),
         "step_of": lambda *_: found, "settled": lambda *_, **__: found, "pruned": lambda _e, step, *_: step,
@@ -993,6 +993,7 @@ def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
     monkeypatch.setattr(discover, "without_loads", lambda _e: ())
     monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
     monkeypatch.setattr(discover, "undetermined", lambda *_: ())
+    monkeypatch.setattr(discover, "bounded", lambda step, _e: step)
     # A loop that is resumed stops where it would have.
     found = discover.discover(UNSEEN, plain_belief(), SPACING, start=steps)
     assert found.verdict == "unknown" and len(looked) == goes_on
@@ -1018,7 +1019,7 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
     pays = SimpleNamespace(pays=True, surprising=False, entry=SimpleNamespace(effect="wind"))
     rounds = iter([[pays]])
     patches: dict[str, Callable] = {
-        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (),
+        "candidate_rows": lambda *_: (), "undetermined": lambda *_: (), "bounded": lambda step, _e: step,
         "ranked": lambda *_, **__: ((1.0, steps[-1].solution), False, ranking_of()),
         "refits_of": lambda *_, **__: next(rounds, []),
         "choose": lambda refits: (refits[0], []), "step_of": lambda *_: last,
@@ -1061,6 +1062,7 @@ def test_a_step_that_was_kept_is_not_asked_again_for_its_grid(
     monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
     monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
     monkeypatch.setattr(discover, "undetermined", lambda *_: ())
+    monkeypatch.setattr(discover, "bounded", lambda step, _e: step)
     experiment = UNSEEN
     found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
     assert len(went) == asked
@@ -1083,6 +1085,7 @@ def test_an_exchange_that_explains_no_longer_is_not_made(
     monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
     monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
     monkeypatch.setattr(discover, "undetermined", lambda *_: ())
+    monkeypatch.setattr(discover, "bounded", lambda step, _e: step)
     monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
     experiment = UNSEEN
     found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())

@@ -4,22 +4,40 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from extend_example import recorded
+from command_example import answer
+from extend_example import SIGMA, recorded
+from mphygs.capture.record import Known
+from mphygs.capture.save import save_capture
 from mphygs.command import plain
+from mphygs.extend.candidate_table import with_told
 from mphygs.extend.finer import finer
 from mphygs.extend.grids import with_budget
 from mphygs.extend.step import Step, from_grid_to_grid, known_budget
-from mphygs.extend.steps import restored, state_of, step_at, step_document, uncertainty
+from mphygs.extend.steps import (
+    bounded,
+    restored,
+    run_at,
+    state_of,
+    step_at,
+    step_document,
+    steps_text,
+    uncertainty,
+)
+from mphygs.fit import __main__ as fit
 from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.boundary_share import boundary_columns
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import covariance, minimise
+from mphygs.fit.of_run import experiment_of
+from mphygs.fit.run import load_run
+from mphygs.fit.tables import parameters_of
 from mphygs.simulate.prediction import Settings
 
 COARSE, FINER, FINE = 0.01, 0.008, 0.005
@@ -148,3 +166,60 @@ def test_a_step_is_restored_with_the_tangents_that_it_borrowed() -> None:
     lent = finer(experiment, replace(step, added=("viscosity",)))
     assert lent.lender == COARSE != lent.spacing
     same(lent, again(experiment, lent))
+
+
+def test_a_step_and_its_run_tell_a_bound_as_a_fit_does(tmp_path: Path) -> None:
+    """A bar of 20 MPa that is shaken by micrometres hardly yields: a step tells it as at least so stiff."""
+    frames = 24
+    shake = 1.2e-5 * np.sin(np.linspace(0.0, 9.0, frames))[:, None] * [0.2, 1.0, 0.4]
+    known = Known(density={"part0": 1000.0}, poissons_ratio=0.3)
+    capture = bar_capture(
+        frames=frames, fps=60.0, motion=shake, fit=(0, frames), sigma=SIGMA, known=known
+    )
+    folder = tmp_path / "bar"
+    save_capture(recorded(capture, bar_belief(capture, youngs_modulus=2e7)), folder)
+    answer(fit.main, folder, "--out", tmp_path / "run", "--spacing", COARSE, "--workers", 1)
+    state = load_run(tmp_path / "run")
+    experiment, belief = experiment_of(state, workers=1)
+    step = step_at(experiment, belief, COARSE)
+    entry = step_document(step, experiment, ())["parameters"][KEY]
+    assert entry == plain(state.answer)["parameters"][KEY]
+    assert not entry["determined"] and entry["std"] > entry["value"]
+    assert 1e4 < entry["bound"]["lower"] < 2e7 and "at least" in entry["note"]
+    known = bounded(step, experiment)
+    assert bounded(again(experiment, known), experiment).limits == known.limits
+    assert any(entry["note"] in line for line in steps_text([plain(step_document(known, experiment, ()))]))
+    # And so does the run that it ends in, whatever the first fit left.
+    begun = replace(state, history=(replace(state.history[-1], misfit=40.0),))
+    run_at(begun, tmp_path / "grown", step, experiment, options={}, answer=None).save()
+    assert parameters_of(load_run(tmp_path / "grown"))[KEY] == entry
+
+
+def test_a_table_tells_what_was_added_as_its_step_does() -> None:
+    parameters = {
+        "viscosity.eta": {"value": 40.0, "std": 3.0, "unit": "Pa s", "determined": True},
+        "tether.k": {"value": 9e5, "std": 1e6, "unit": "N/m", "determined": False, "bound": {"lower": 2e3}},
+    }
+    rows = [
+        {"effect": "tether", "estimate": {"k": 1e6, "anchor_x": 0.1}, "std": {"k": 2e-9, "anchor_x": 1e-3}},
+        {"effect": "viscosity", "estimate": {"eta": 38.0}, "std": {"eta": 1.0}},
+    ]
+    told = with_told(rows, parameters, ("tether",))
+    assert told[0]["estimate"] == {"k": 9e5, "anchor_x": 0.1} and told[0]["std"] == {}
+    assert told[1] == rows[1]
+
+
+def test_a_step_of_which_no_grid_told_counts_what_a_coarser_one_changes() -> None:
+    """Recorded on a fine grid and fitted on a coarse one, without a refinement: the stiffness is off by many
+    of the noise's deviations, and by few of those that it is told with."""
+    capture = bar_capture(frames=24, fps=100.0, fit=(0, 24))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=(KEY,))
+    experiment = Experiment.of(recorded(capture, truth, FINE), Settings(COARSE, workers=1))
+    belief = minimise(experiment.problem(COARSE), experiment.starting(truth), iterations=8).belief
+    step = step_at(experiment, belief, COARSE)
+    off = abs(np.log(belief[KEY].value / 6e4))
+    noise = np.sqrt(covariance(step.solution.evaluation)[0, 0])
+    entry = step_document(step, experiment, ())["parameters"][KEY]
+    assert entry["determined"] and off > 5.0 * noise
+    assert 0.3 * off < entry["std"] / entry["value"] < 5.0 * off
+    assert bounded(step, experiment).refitted(step.solution, step.compared, step.assessment).change is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,8 +16,10 @@ from mphygs.capture.record import Known
 from mphygs.capture.save import save_capture
 from mphygs.fit import __main__ as fit
 from mphygs.fit.determined import SAYS_NOTHING
-from mphygs.fit.one_sided import Limits, limits_of, with_bounds
+from mphygs.fit.limits import Limits, narrowed_to_seen, with_bounds
+from mphygs.fit.one_sided import derivatives_hold, limits_of
 from mphygs.fit.run import load_run
+from mphygs.fit.tables import parameters_of, parameters_told
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -31,13 +34,16 @@ class Sagging:
     def __init__(self, load: float, seen: float | np.ndarray = 0.0, least: float = 0.0) -> None:
         self.load, self.seen, self.least = load, seen, least
 
+    def stable_substep(self, belief: Belief) -> float:
+        return belief[KEY].value ** -0.5
+
     def evaluate(self, belief: Belief, *, jacobian: bool = True) -> SimpleNamespace:
         value = belief[KEY].value
         if value < self.least:
             raise SimulationError("unstable")
         sag = self.load / value
         return SimpleNamespace(
-            residual=np.array([self.seen - sag]), jacobian=np.array([[sag]]), data_rows=1, rows={}
+            residual=np.array([self.seen - sag]), jacobian=np.array([[sag]]), data_rows=1, rows={}, misfit=1.0
         )
 
 
@@ -64,13 +70,72 @@ def test_a_sag_of_six_sigma_is_seen_on_both_sides_and_one_of_four_is_not() -> No
 def test_a_free_number_that_follows_takes_the_say_from_a_stiffness() -> None:
     class Sliding(Sagging):
         def evaluate(self, belief: Belief, *, jacobian: bool = True) -> SimpleNamespace:
+            found = super().evaluate(belief).__dict__
+            slid = 1e3 * np.log(belief["part0.density"].value / 1e3)
+            sag = float(found["jacobian"][0, 0])
             return SimpleNamespace(
-                **super().evaluate(belief).__dict__ | {"jacobian": np.array([[9.0, 1e3]])}
+                **found | {"residual": found["residual"] + slid, "jacobian": np.array([[sag, 1e3]])}
             )
 
     belief = bar_belief(bar_capture(), youngs_modulus=1e6, free=(KEY, "part0.density"))
     problem = Sliding(9e6, seen=9.0)
     assert limits_of(problem, belief, problem.evaluate(belief))[KEY].stiff is None
+
+
+class Tied(Sagging):
+    """The same on a tether, by `load` / k sigma; its derivative is `off` times what the motion has."""
+
+    def __init__(self, load: float, seen: float, off: float = 1.0) -> None:
+        super().__init__(load, seen)
+        self.off = off
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> SimpleNamespace:
+        k = belief["tether.k"]
+        give = self.load / (k.value + 1e-9)
+        slope = self.off * give * k.scale / (k.value + 1e-9)
+        left = np.array([self.seen - give])
+        return SimpleNamespace(
+            residual=left, jacobian=np.array([[slope]]), data_rows=1, rows={}, misfit=1.0
+        )
+
+
+def with_tether(k: float) -> Belief:
+    belief = bar_belief(bar_capture(), youngs_modulus=1e6, free=()).with_effect("tether", {"k": k})
+    for key in ("tether.anchor_x", "tether.anchor_y", "tether.anchor_z"):
+        belief = belief.with_parameter(key, free=False)
+    return belief
+
+
+def tied(problem: Tied, k: float) -> tuple[Limits, dict[str, object]]:
+    belief = with_tether(k)
+    evaluation = problem.evaluate(belief)
+    limits = limits_of(problem, belief, evaluation)
+    information = evaluation.jacobian.T @ evaluation.jacobian
+    known = narrowed_to_seen(belief.free, information, np.linalg.inv(information), limits)
+    return limits["tether.k"], parameters_told(belief, *known, 1.0, limits)["tether.k"]
+
+
+def test_how_much_there_is_of_an_effect_is_told_as_a_bound_where_more_of_it_shows_no_more() -> None:
+    limits, entry = tied(Tied(4e3, seen=0.0), 1e3)
+    assert limits.stiff is None and not entry["determined"]
+    # 4 sigma at k, so that what gives three more than nothing is excluded
+    assert entry["bound"] == {"lower": pytest.approx(4e3 / 5.0, rel=0.2)}
+    assert "less of it does not fit" in entry["note"]
+    limits, entry = tied(Tied(3e4, seen=30.0), 1e3)
+    assert limits.seen and entry["determined"] and "bound" not in entry
+    # One that is next to nothing is told by its error as well as any, though a hundred times as much fits.
+    weak = Limits(None, 3.0, weak=True)
+    assert weak.seen and not replace(weak, weak=False).seen
+
+
+def test_a_derivative_that_the_motion_does_not_have_gives_no_standard_error() -> None:
+    belief = with_tether(1e3)
+    true, false = Tied(3e4, 30.0), Tied(3e4, 30.0, off=1e6)
+    assert derivatives_hold(true, belief, true.evaluate(belief))
+    assert not derivatives_hold(false, belief, false.evaluate(belief))
+    limits, entry = tied(false, 1e3)
+    assert limits.leaps and not entry["determined"] and entry["std"] > 0.01
+    assert entry["bound"]["lower"] < 1e3 < entry["bound"]["upper"] and "by leaps" in entry["note"]
 
 
 def test_nothing_is_said_of_what_is_determined_or_has_no_say() -> None:
@@ -100,7 +165,7 @@ def test_vibrations_that_fit_in_several_phases_tell_a_stiffness_roughly() -> Non
             tall = self.load / root**2
             slope = swings * tall * (np.cos(7.0 * t * root) + 3.5 * t * root * np.sin(7.0 * t * root))
             left = swings * (self.seen - tall * np.cos(7.0 * t * root))
-            return SimpleNamespace(residual=left, jacobian=slope[:, None], data_rows=240, rows={})
+            return SimpleNamespace(residual=left, jacobian=slope[:, None], data_rows=240, rows={}, misfit=1.0)
 
     once, twice = 1.4 * np.cos(7.0 * t), 1.4 * (np.cos(7.0 * t) + np.cos(7.0 * 1.035 * t))
     known, other = (found(Ringing(1.4, seen=seen)) for seen in (once, twice))
@@ -132,4 +197,5 @@ def test_a_bar_that_hardly_yields_is_told_by_a_bound_and_a_soft_one_by_a_number(
         assert not entry["determined"] and entry["std"] > entry["value"]
         assert 1e4 < entry["bound"]["lower"] < truth < entry["bound"].get("upper", np.inf)
         # The run knows it as well: no later command takes the minimum for a number.
+        assert parameters_of(state)[KEY] == entry
         assert state.information[0, 0] == 0.0 and state.covariance[0, 0] > 1.0

@@ -5,13 +5,54 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from bar_capture import bar_belief, bar_capture
 from command_example import answer
 from mphygs.fit import __main__ as fit
+from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.other_minima import lower_along
+from mphygs.fit.problem import Evaluation
+from mphygs.model.belief import Belief
+from mphygs.simulate.errors import SimulationError
 from mphygs.synth import __main__ as synth
 
 OF = {"youngs_modulus": "E", "density": "rho"}
+
+
+KEY = "part0.youngs_modulus"
+
+
+class Shoulder:
+    """A minimum at 100 kPa whose wall on the soft side ends on a shoulder, from which the cost falls by half
+    of `deep` in the end; softer than `least` nothing can be simulated."""
+
+    def __init__(self, deep: float, least: float = 0.0) -> None:
+        self.deep, self.least = deep, least
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        value = belief[KEY].value
+        if value < self.least:
+            raise SimulationError("unstable")
+        x = np.log(value / 1e5)
+        wall = 130.0 * (x if x > 0.0 else 0.02 * np.tanh(x / 0.02))
+        rest = np.sqrt(100.0 - self.deep * (x < 0.0) * x**2 / (x**2 + 0.01))
+        slopes = np.array([[130.0], [0.0]])  # at the minimum
+        return Evaluation(np.array([wall, rest]), slopes, 2, 0, {}, {}, 1)
+
+
+def lower(problem: Shoulder) -> list[float]:
+    belief = bar_belief(bar_capture(), youngs_modulus=1e5, free=(KEY,))
+    solution = Solution(belief, problem.evaluate(belief), (0.0,), True, "converged")
+    return [there[KEY].value / 1e5 for there in lower_along(problem, solution)]
+
+
+def test_a_lower_cost_on_a_shoulder_of_the_valley_is_found() -> None:
+    first, second = lower(Shoulder(60.0))
+    assert first == pytest.approx(np.exp(-16.0 / 130.0)) and second == pytest.approx(np.exp(-8.0 / 130.0))
+    assert lower(Shoulder(0.0)) == []
+    assert lower(Shoulder(60.0, least=0.92e5)) == [pytest.approx(np.exp(-8.0 / 130.0))]
 
 
 @pytest.mark.slow

@@ -121,7 +121,7 @@ def test_nothing_is_replaced(made: Path, tmp_path: Path) -> None:
     assert code == 2 and "broken.npz: cannot be read" in said
     (tmp_path / "broken.npz").unlink()
     code, _, said = call(init.main, tmp_path)
-    assert code == 2 and "has no mesh and no folder of views at rest" in said
+    assert code == 2 and "has no mesh, no folder of views at rest and no Gaussians" in said
 
 
 @pytest.mark.parametrize(

@@ -120,3 +120,11 @@ def test_files_that_are_refused(tmp_path: Path, content: bytes, message: str) ->
         read_gaussians(tmp_path / "a.ply")
     line = str(caught.value)
     assert message in line and "expected" in line and str(tmp_path) in line and "\n" not in line
+
+
+def test_a_file_of_none_is_refused(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "a.ply", gaussians(3))
+    data = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(data.replace(b"vertex 3", b"vertex 0"))
+    with pytest.raises(CaptureError, match="holds no Gaussian"):
+        read_gaussians(tmp_path / "a.ply")

@@ -259,3 +259,27 @@ def test_what_a_marker_has_of_its_own_is_told_from_few_others(count: int, ways: 
         motion = np.einsum("kt,kmc->tmc", course, draw.normal(0.0, 0.1, (ways, count, 3)))
         told.append(own_noise(motion + 1e-4 * draw.standard_normal(motion.shape)))
     assert np.median(told) == pytest.approx(1e-4, rel=0.06)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_noise_that_lasts_over_the_resting_frames_is_no_survey(seed: int) -> None:
+    """Half of its variance all but stays over six frames: the mean of these is off by it, and no place is."""
+    clean, random = replace(resting(seed), release=6), np.random.default_rng(700 + seed)
+    slow = np.empty_like(clean.position)
+    slow[0] = random.standard_normal(slow[0].shape)
+    for k in range(1, len(slow)):
+        slow[k] = 0.9 * slow[k - 1] + np.sqrt(1.0 - 0.81) * random.standard_normal(slow[0].shape)
+    fresh = random.standard_normal(slow.shape)
+    true = moving(seed, sigma=0.0).position[6:FRAMES]
+    still = np.concatenate([np.tile(clean.at, (6, 1, 1)), true])
+    position = still + SIGMA * np.sqrt(0.5) * (slow + fresh)
+    assert marker_survey.check(replace(clean, position=position)).findings == ()
+    error = 6e-4 * random.standard_normal(clean.at.shape)
+    found = marker_survey.check(replace(clean, position=position, at=clean.at + error))
+    assert only(found, "marker_survey")["sigma"] == pytest.approx(6e-4, rel=0.35)
+
+
+def test_tracks_of_nothing_are_passed_on_as_they_are() -> None:
+    tracks = moving(0)
+    zeros = seen(np.zeros_like(tracks.position), tracks)
+    assert only(zeros, "zero_gaps")["count"] == FRAMES * 30 and np.isnan(zeros.position).all()

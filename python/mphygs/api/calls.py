@@ -133,7 +133,10 @@ def is_kept(capture: Capture) -> bool:
         return False
     kept = load_capture(capture.folder)
     views = [
-        (c.gaussians, c.views, c.views_scale, *((s.views, s.views_scale) for s in c.sequences))
+        (
+            c.gaussians, c.gaussians_scale, c.views, c.views_scale,
+            *((s.views, s.views_scale) for s in c.sequences),
+        )
         for c in (kept, capture)
     ]
     return views[0] == views[1] and digest_of(kept) == digest_of(capture)

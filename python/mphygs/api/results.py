@@ -117,7 +117,7 @@ def sensor_rows(sensors: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Row]
 class Estimate:
     """A fitted number. std: standard error, in the value's unit; determined: whether the data tell it, note:
     why not, or what else is to be said; interval: of two standard deviations from the likelihood, where it
-    was asked for."""
+    was asked for; bound: "lower" or "upper" of what shows on one side alone, or both."""
 
     value: float
     std: float | None
@@ -125,6 +125,7 @@ class Estimate:
     determined: bool
     note: str = ""
     interval: tuple[float, float] | None = None
+    bound: Mapping[str, float] | None = None
 
 
 def estimates_of(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Estimate]:
@@ -137,6 +138,7 @@ def estimates_of(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Estim
             determined=bool(entry.get("determined", True)),
             note=entry.get("note", ""),
             interval=tuple(entry["interval"]) if entry.get("interval") else None,
+            bound=dict(entry["bound"]) if entry.get("bound") else None,
         )
         for key, entry in parameters.items()
     }

@@ -209,9 +209,9 @@ def _check_markers(where: str, capture: Capture, sequence: Sequence, markers: Ma
     bounds, size = capture.bounds, capture.diagonal
     if bounds is None or size is None:
         return
-    if markers.sigma > size:
+    if markers.stated > size:
         raise fault(
-            f"{where}.sigma", f"is {markers.sigma:g} m, larger than the object", f"far below {size:.3g} m"
+            f"{where}.sigma", f"is {markers.stated:g} m, larger than the object", f"far below {size:.3g} m"
         )
     far = distance_to_box(markers.at, bounds)
     worst = int(np.argmax(far))
@@ -268,6 +268,9 @@ def _check_tracks(where: str, capture: Capture, sequence: Sequence, markers: Mar
     said = f"marker {marker} is measured {away[frame, marker]:.3g} m from the object in frame {frame}"
     if away[frame, marker] > most:
         raise fault(f"{where}.file", said, f"positions in m, within {most:.3g} m")
+    if markers.sigma > size:
+        what = f"markers scatter by {markers.sigma:.3g} m, more than the object is across"
+        raise fault(f"{where}.file", what, f"positions in m of an object of {size:.3g} m")
     if not held:
         return
     away = np.min([_distance(markers.position, place[:, None]) for place in held], axis=0)

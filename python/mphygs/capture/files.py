@@ -12,6 +12,9 @@ from mphygs.capture.archives import Head, open_archive
 from mphygs.capture.document import Entry, written
 from mphygs.capture.errors import fault
 
+# Scenes of NeRF come in so many files of cameras.
+SPLITS = ("train", "val", "test")
+
 
 def path_inside(folder: Path, entry: Entry) -> Path:
     """The existing file or folder that `entry` names, relative to `folder` and, links followed, inside it."""
@@ -41,18 +44,28 @@ def file_inside(folder: Path, entry: Entry) -> Path:
 
 
 def views_inside(folder: Path, entry: Entry) -> Path:
-    """As `path_inside`, for a folder of views: `transforms.json` or a COLMAP model stands in it."""
+    """As `path_inside`, for a folder of views: `transforms.json`, those of splits or a COLMAP model stands in
+    it."""
     path = path_inside(folder, entry)
     if not path.is_dir():
         raise entry.fault(f"{path} is not a folder", "a folder of views")
     if not has_cameras(path):
-        raise entry.fault(f"{path} holds no cameras", "transforms.json or sparse/0 in it")
+        expected = "transforms.json, transforms_train.json or sparse/0 in it"
+        raise entry.fault(f"{path} holds no cameras", expected)
     return path
 
 
 def has_cameras(folder: Path) -> bool:
     """Whether a folder is one of views."""
-    return (folder / "transforms.json").is_file() or colmap_folder(folder) is not None
+    return bool(transforms_files(folder)) or colmap_folder(folder) is not None
+
+
+def transforms_files(folder: Path) -> tuple[Path, ...]:
+    """Where a folder of views tells its cameras: its transforms.json, or else the files of the splits that
+    Blender's scenes of NeRF come in, as many as are there."""
+    whole = folder / "transforms.json"
+    found = (folder / f"transforms_{split}.json" for split in SPLITS)
+    return (whole,) if whole.is_file() else tuple(path for path in found if path.is_file())
 
 
 def colmap_folder(folder: Path) -> Path | None:

@@ -55,7 +55,10 @@ def load_capture(path: str | Path) -> Capture:
     name = root["name"].name()
     gravity = root["gravity"].array((3,), most=1e6)
     parts, gaussians, views = _read_geometry(folder, root["object"])
-    views_scale = _read_views_scale(root["object"], views)
+    if gaussians is None:
+        views_scale, gaussians_scale = _read_views_scale(root["object"], views), 1.0
+    else:
+        views_scale, gaussians_scale = 1.0, read_scale(root["object"], None)
     sequences = tuple(_read_sequence(folder, entry) for entry in root["sequences"].elements())
     if not sequences:
         raise root["sequences"].fault("is empty", "at least one sequence")
@@ -70,6 +73,7 @@ def load_capture(path: str | Path) -> Capture:
         gaussians=gaussians,
         views=views,
         views_scale=views_scale,
+        gaussians_scale=gaussians_scale,
     )
     check_capture(capture)
     return capture
@@ -100,7 +104,8 @@ def _read_views_scale(entry: Entry, views: Path | None) -> float:
     given = [key for key in _UNITS if entry.get(key)]
     if views is None:
         if given:
-            raise entry[given[0]].fault("stands where no views are", "views beside it (a part has a scale)")
+            expected = "views or gaussians beside it (a part has a scale)"
+            raise entry[given[0]].fault("stands where no views are", expected)
         return 1.0
     return read_scale(entry, views)
 

@@ -16,24 +16,27 @@ import numpy as np
 from mphygs.capture.c3d import read_c3d
 from mphygs.capture.colmap import read_colmap
 from mphygs.capture.errors import fault
-from mphygs.capture.files import has_cameras, read_arrays
+from mphygs.capture.files import has_cameras, read_arrays, transforms_files
 from mphygs.capture.markers import resting_position
 from mphygs.capture.track_faults import zero_gaps
 from mphygs.capture.written import replace_arrays
 
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb")
 MARKERS = (".c3d", ".npz", ".csv")
+_HEADER = 100_000  # bytes of a .ply that are looked at
 
 
 @dataclass(frozen=True)
 class Files:
     """What a folder holds. motions: .npz of a hold's motion by the stem of the markers they belong to;
-    rest_views: a folder of pictures at rest, views: folders of videos by name."""
+    rest_views: a folder of pictures at rest, views: folders of videos by name; gaussians: the object as a
+    3DGS .ply."""
 
     meshes: tuple[Path, ...] = ()
     markers: tuple[Path, ...] = ()
     motions: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
     rest_views: Path | None = None
+    gaussians: Path | None = None
     views: Mapping[str, Path] = field(default_factory=dict)
 
 
@@ -55,7 +58,10 @@ def find_files(folder: Path) -> Files:
     Raises CaptureError for a camera file that cannot be read, or for a second folder of pictures at rest.
     """
     inside = sorted(path for path in folder.iterdir() if path.is_file())
-    meshes = tuple(path for path in inside if path.suffix.lower() in MESHES)
+    splats = [path for path in inside if path.suffix.lower() == ".ply" and _is_gaussians(path)]
+    if len(splats) > 1:
+        raise fault(str(splats[1]), f"is a second .ply of Gaussians beside {splats[0].name}", "one")
+    meshes = tuple(p for p in inside if p.suffix.lower() in MESHES and p not in splats)
     markers, motions = [], []
     for path in inside:
         if path.suffix.lower() == ".npz":
@@ -78,7 +84,13 @@ def find_files(folder: Path) -> Files:
             rest = path
         else:
             raise fault(str(path), f"is a second folder of pictures at rest beside {rest.name}", "one")
-    return Files(meshes, tuple(markers), owned, rest, views)
+    return Files(meshes, tuple(markers), owned, rest, splats[0] if splats else None, views)
+
+
+def _is_gaussians(path: Path) -> bool:
+    """Whether a .ply holds the Gaussians of 3D Gaussian splatting, as its header says."""
+    with path.open("rb") as stream:
+        return b" f_dc_0" in stream.read(_HEADER).partition(b"end_header")[0]
 
 
 def _plain(stem: str) -> str:
@@ -95,14 +107,17 @@ def _is_motion(path: Path) -> bool:
 
 
 def _is_sequence(folder: Path) -> bool:
-    path = folder / "transforms.json"
-    if not path.is_file():
+    files = transforms_files(folder)
+    if not files:
         return any(shot.frame is not None for shot in read_colmap(folder))
-    try:
-        frames = json.loads(path.read_text(encoding="utf-8"))["frames"]
-        return any("camera" in frame or "frame" in frame for frame in frames)
-    except (ValueError, KeyError, TypeError) as error:
-        raise fault(str(path), "cannot be read", "the cameras of a nerfstudio transforms.json") from error
+    found = False
+    for path in files:
+        try:
+            frames = json.loads(path.read_text(encoding="utf-8"))["frames"]
+            found |= any("camera" in frame or "frame" in frame for frame in frames)
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise fault(str(path), "cannot be read", "the cameras of a nerfstudio transforms.json") from error
+    return found
 
 
 def read_tracks(folder: Path, path: Path, *, scale: float, fps: float | None) -> Tracks:

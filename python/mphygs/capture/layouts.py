@@ -11,7 +11,7 @@ import numpy as np
 from mphygs.capture.cameras import Camera
 from mphygs.capture.colmap import ColmapPoints, read_colmap, read_colmap_points
 from mphygs.capture.document import Entry
-from mphygs.capture.files import colmap_folder
+from mphygs.capture.files import colmap_folder, transforms_files
 from mphygs.capture.record import Capture
 from mphygs.capture.shots import Shot
 from mphygs.capture.transforms import read_transforms
@@ -22,18 +22,18 @@ _SHORTEST = 1e-9
 
 
 def read_shots(folder: Path, scale: float = 1.0) -> list[Shot]:
-    """The pictures of a folder of views, by its transforms.json or its COLMAP model.
+    """The pictures of a folder of views, by its transforms.json, those of its splits or its COLMAP model.
 
     scale: metres per unit of the reconstruction. Raises CaptureError for anything that cannot be used.
     """
-    path = folder / "transforms.json"
-    shots = read_transforms(path) if path.is_file() else read_colmap(folder)
+    files = transforms_files(folder)
+    shots = [shot for file in files for shot in read_transforms(file)] if files else read_colmap(folder)
     return [replace(shot, camera=_scaled(shot.camera, scale)) for shot in shots]
 
 
 def read_points(folder: Path, scale: float = 1.0) -> ColmapPoints | None:
     """The points that a reconstruction found beside its cameras [m]; None where it is no COLMAP model."""
-    if (folder / "transforms.json").is_file() or colmap_folder(folder) is None:
+    if transforms_files(folder) or colmap_folder(folder) is None:
         return None
     points = read_colmap_points(folder)
     return replace(points, positions=points.positions * scale)
@@ -48,7 +48,7 @@ def unit_remarks(capture: Capture) -> list[str]:
         f"{name}: lengths of its COLMAP model are taken for metres; if they are in a unit of its own, as "
         "usual, state scale or known_length beside views"
         for name, folder, scale in views
-        if folder is not None and scale == 1.0 and not (folder / "transforms.json").is_file()
+        if folder is not None and scale == 1.0 and not transforms_files(folder)
     ]
 
 
@@ -71,12 +71,13 @@ def named_apart(folder: Path, shots: list[Shot]) -> list[Shot]:
     return named
 
 
-def read_scale(entry: Entry, folder: Path) -> float:
-    """Metres per unit of the views in a folder, as `scale` or `known_length` beside `views` say; 1 without.
+def read_scale(entry: Entry, folder: Path | None) -> float:
+    """Metres per unit of the views in a folder, or of Gaussians (None), as `scale` or `known_length` beside
+    them say; 1 without.
 
     known_length: [[a, b], metres], the distance of two places of the reconstruction: a picture by its name
     (where its camera stood), a point of a COLMAP model by its number, or [x, y, z] in the unit of the
-    reconstruction. Raises CaptureError.
+    reconstruction, which is all that Gaussians have. Raises CaptureError.
     """
     scale, length = entry.get("scale"), entry.get("known_length")
     if scale is not None and length is not None:
@@ -100,10 +101,12 @@ def read_scale(entry: Entry, folder: Path) -> float:
     return metres / apart
 
 
-def _place(entry: Entry, folder: Path, expected: str) -> np.ndarray:
+def _place(entry: Entry, folder: Path | None, expected: str) -> np.ndarray:
     """A place (3,) of a reconstruction, in its own unit."""
     if isinstance(entry.value, list):
         return entry.array((3,), most=1e12)
+    if folder is None:
+        raise entry.wrong("[x, y, z]: Gaussians have no pictures and no numbers")
     if isinstance(entry.value, str):
         return _stand(entry, folder)
     if isinstance(entry.value, bool) or not isinstance(entry.value, int):

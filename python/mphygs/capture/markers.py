@@ -58,6 +58,12 @@ class Markers:
             raise ValueError(f"spread: expected {len(self.at)} standard deviations above zero [m]")
 
     @property
+    def stated(self) -> float:
+        """Sigma as the capture states it [m], whatever its tracks showed when they were read."""
+        told = (finding.numbers.get("stated") for finding in self.findings)
+        return next((value for value in told if value), self.sigma)
+
+    @property
     def each(self) -> np.ndarray:
         """(M,) [m] standard deviation of a coordinate of each marker."""
         for own in (self.spread, self.scatter):
@@ -133,8 +139,13 @@ def read_markers(
             tracks = replace(tracks, position=again)
     else:
         raise entry["file"].wrong("an .npz or a .c3d file")
-    if not np.isfinite(tracks.position).any():
-        raise fault(f"{path}: position", "is NaN everywhere", "measured positions")
+    if not np.isfinite(tracks.position).all(axis=2).any():
+        what = "is NaN everywhere"
+        if any(finding.fault == zero_gaps.FAULT for finding in tracks.findings):
+            what = "is zero wherever it is measured"
+        elif np.isfinite(tracks.position).any():
+            what = "has no place with all of x, y and z"
+        raise fault(f"{path}: position", what, "measured positions")
     return Markers(
         position=tracks.position,
         at=tracks.at,

@@ -50,7 +50,8 @@ def checked_mask(mask: np.ndarray, where: str) -> np.ndarray:
 
 
 def check_masks(where: str, masks: Sequence[np.ndarray]) -> None:
-    """Raises CaptureError where nearly all masks (H, W) show the object all round and not inside."""
+    """Raises CaptureError where nearly all masks (H, W) show the object all round and not inside, or where no
+    mask shows where it ends."""
     inverted = 0
     for mask in masks:
         border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
@@ -58,3 +59,6 @@ def check_masks(where: str, masks: Sequence[np.ndarray]) -> None:
     if inverted > _VIEWS * len(masks):
         what = f"{inverted} of {len(masks)} masks are white all round and black inside: they look inverted"
         raise fault(where, what, "white where the object is seen")
+    if masks and all((mask >= 0.5).all() for mask in masks):
+        what = f"all {len(masks)} masks are white all over: nowhere does the object end"
+        raise fault(where, what, "white where the object is seen, black elsewhere")

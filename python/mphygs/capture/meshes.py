@@ -90,7 +90,8 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
             f"{path}: vertex {int(np.argwhere(~np.isfinite(vertices))[0, 0])}", "is not finite", expected
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise fault(str(path), f"a face names vertex {faces.max()} of {len(vertices)}", expected)
+        worst = faces.min() if faces.min() < 0 else faces.max()
+        raise fault(str(path), f"a face names vertex {worst} of {len(vertices)}, counted from 0", expected)
     vertices, faces = _compact(vertices, faces)
     if not _is_closed(faces):
         vertices, faces = _merge(vertices, faces)

@@ -59,9 +59,9 @@ class Sequence:
 class Capture:
     """One object and its recorded motions. gravity: (3,) [m/s^2], in the object frame.
 
-    The object is given by `parts`, or by `gaussians` (a 3DGS .ply), or by `views` (a folder of dense rest
-    views, `views_scale` metres per unit of its cameras' places); rest: "stress-free", or "equilibrium" when
-    the shape given sags under gravity already.
+    The object is given by `parts`, or by `gaussians` (a 3DGS .ply, `gaussians_scale` metres per unit of it),
+    or by `views` (a folder of dense rest views, `views_scale` metres per unit of its cameras' places); rest:
+    "stress-free", or "equilibrium" when the shape given sags under gravity already.
     """
 
     name: str
@@ -74,6 +74,7 @@ class Capture:
     gaussians: Path | None = None
     views: Path | None = None
     views_scale: float = 1.0
+    gaussians_scale: float = 1.0
 
     def sequence(self, name: str) -> Sequence:
         """The sequence called `name`; KeyError, naming those there are, when there is none."""

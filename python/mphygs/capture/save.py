@@ -38,6 +38,7 @@ def save_capture(capture: Capture, folder: str | Path) -> None:
             write_mesh(folder / f"{part.name}.ply", part.vertices, part.faces)
     if capture.gaussians is not None:
         shape["gaussians"] = _copy(capture.gaussians, folder / "gaussians.ply")
+        shape |= {} if capture.gaussians_scale == 1.0 else {"scale": capture.gaussians_scale}
     if capture.views is not None:
         shape["views"] = _copy(capture.views, folder / "rest_views")
         shape |= {} if capture.views_scale == 1.0 else {"scale": capture.views_scale}

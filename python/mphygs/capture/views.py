@@ -80,9 +80,12 @@ class View:
                 "nothing says where the object is in it",
                 "a mask in masks/, an alpha channel, or a picture of the background in background/",
             )
-        mask = checked_mask(mask, where)
+        mask = undistort_image(self.camera, checked_mask(mask, where))
+        if not (mask >= 0.5).any():
+            what = f"nothing of the object is left once the lens distortion of {self.camera.name} is undone"
+            raise fault(where, what, "distortion as small as a lens has it")
         colour = undistort_image(self.camera, pixels.colour)
-        return Photograph(undistorted(self.camera), colour, undistort_image(self.camera, mask))
+        return Photograph(undistorted(self.camera), colour, mask)
 
 
 def check_extent(where: str, photographs: list[Photograph]) -> None:

@@ -43,7 +43,7 @@ class Whitened:
     """All compared rows, the markers of one sequence after the other and then its instruments.
 
     seen: rows of frames that were fitted; part: of the marker, of an instrument -1 less its number; sigma:
-    (N,) of the noise of each row's sequence [m], NaN where it is of another unit.
+    (N,) of the noise of each row's sequence and frame [m], NaN where it is of another unit.
     """
 
     residual: np.ndarray
@@ -82,7 +82,7 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
                 frame[used],
                 np.full(int(used.sum()), number),
                 seen[used],
-                np.full(int(used.sum()), item.observation.sigma),
+                item.observation.sigma * item.observation.frames_of_noise[frame[used]],
             )
         )
         parts += [_sensor_rows(item, k, number) for k in range(len(item.sensors))]

@@ -66,13 +66,14 @@ def sequence_errors(
 ) -> dict[str, dict[str, dict[str, float] | None]]:
     """Sequence -> "fit", "predict", "all" -> error as JSON knows it, None where there is no such frame.
 
-    sigmas: standard deviation of the markers' noise, by sequence [m].
+    sigmas: standard deviation of the markers' noise, by sequence [m]; of some frames alone it is theirs.
     """
     out = {}
     for name, item in compared.items():
-        errors = {
-            label: point_error(item.observation.position, item.predicted, sigmas[name], frames)
-            for label, frames in frame_masks(item).items()
-        }
+        errors = {}
+        for label, frames in frame_masks(item).items():
+            course = item.observation.frames_of_noise[frames]
+            sigma = sigmas[name] * float(np.sqrt(np.mean(course**2))) if len(course) else sigmas[name]
+            errors[label] = point_error(item.observation.position, item.predicted, sigma, frames)
         out[name] = {label: None if error is None else asdict(error) for label, error in errors.items()}
     return out

@@ -11,6 +11,7 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
 from mphygs.capture.track_faults.scatter import SeenSigma, own_noise, seen_sigma
 from mphygs.compare.autoregression import Autoregression
+from mphygs.compare.noise_course import noise_course
 from mphygs.compare.seen import mean_seen
 from mphygs.compare.sensed import Sensed, sensed
 from mphygs.compare.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
@@ -29,7 +30,9 @@ class Observation:
     """position: (T, M, 3) [m], NaN where missing; noise: of one coordinate.
 
     weight: (M,) 1 for markers in use, 0 for markers left out as outliers; stated: sigma of the capture [m];
-    seen: what the tracks show of it, where that is used; sensors: what other instruments measured.
+    seen: what the tracks show of it, where that is used; sensors: what other instruments measured;
+    course: (T,) what the noise is multiplied by, frame by frame, of root mean square 1, None where it is the
+    same in all.
     """
 
     position: np.ndarray
@@ -38,6 +41,7 @@ class Observation:
     stated: float | None = None
     seen: SeenSigma | None = None
     sensors: tuple[Sensed, ...] = ()
+    course: np.ndarray | None = None
     _whiteners: dict = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -49,13 +53,19 @@ class Observation:
         """Whitening of frames [first, last)."""
         key = (first, last)
         if key not in self._whiteners:
-            self._whiteners[key] = Whitener(self.noise, self.observed[first:last])
+            course = self.frames_of_noise[first:last]
+            self._whiteners[key] = Whitener(self.noise, self.observed[first:last], course=course)
         return self._whiteners[key]
 
     @property
     def sigma(self) -> float:
         """Standard deviation of one coordinate, everything included, root mean square over markers [m]."""
         return float(np.sqrt(np.mean(self.noise.sigma**2) + np.mean(self.noise.common_sigma**2)))
+
+    @property
+    def frames_of_noise(self) -> np.ndarray:
+        """(T,) what sigma is multiplied by in each frame."""
+        return np.ones(len(self.position)) if self.course is None else self.course
 
     @property
     def denied(self) -> bool:
@@ -102,7 +112,8 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
                 true[:, mine] = np.einsum("tij,mj->tmi", rotation, at) + shift[:, None]
             rest = without_faults(position[:, held] - true, times, true)
             what = "markers on what is held"
-    stated, sigma = _stated(markers), markers.sigma if markers.sigma else DEFAULT_SIGMA
+    stated = markers.stated or DEFAULT_SIGMA
+    sigma = markers.sigma if markers.sigma else DEFAULT_SIGMA
     own = None if markers.scatter is None else markers.each / sigma
     if own is not None and rest is not None:
         rest = rest / (own if rest.shape[1] == len(own) else own[held])[:, None]
@@ -115,6 +126,9 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     if seen is not None and not (own_noise(position) > ALIKE * seen.value if louder else still):
         seen = None
     sigma = sigma if seen is None else seen.value
+    course = noise_course(position)
+    if course is not None and rest is not None:
+        rest = rest / course[: len(rest), None, None]
     if rest is None or rest.shape[1] == 0:
         noise = NoiseModel.white(sigma, "stated sigma, taken as white")
     else:
@@ -138,24 +152,24 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
         noise = replace(noise, sigma=noise.sigma * own, source=source)
     if markers.offset:
         noise = _with_offset(noise, markers.offset)
-    return Observation(position, noise, np.ones(position.shape[1]), stated, seen, sensed(recording))
-
-
-def _stated(markers: Markers) -> float:
-    """Sigma as the capture states it [m], whatever its tracks showed when they were read."""
-    told = (finding.numbers.get("stated") for finding in markers.findings)
-    return next((value for value in told if value), markers.sigma or DEFAULT_SIGMA)
+    if course is not None:
+        low, high = 1e3 * sigma * course.min(), 1e3 * sigma * course.max()
+        changes = f"not the same in all frames: {low:.2g} to {high:.2g} mm, each is weighed by its own"
+        noise = replace(noise, source=f"{noise.source}; {changes}")
+    return Observation(position, noise, np.ones(position.shape[1]), stated, seen, sensed(recording), course)
 
 
 def noise_document(observations: Mapping[str, Observation]) -> dict[str, dict[str, object]]:
     """By sequence: the standard deviation of a coordinate as stated, as seen in the tracks (None where they
-    do not tell), and as used [m], and where that comes from."""
+    do not tell), and as used [m], and where that comes from; lowest and highest: of any frame [m]."""
     return {
         name: {
             "stated": seen.stated,
             "seen": None if seen.seen is None else seen.seen.value,
             "used": seen.sigma,
             "differs": seen.denied,
+            "lowest": seen.sigma * float(seen.frames_of_noise.min()),
+            "highest": seen.sigma * float(seen.frames_of_noise.max()),
             "source": seen.noise.source,
         }
         for name, seen in observations.items()
@@ -163,12 +177,18 @@ def noise_document(observations: Mapping[str, Observation]) -> dict[str, dict[st
 
 
 def noise_lines(document: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """A line for each sequence whose noise is another than was stated."""
-    return [
+    """A line for each sequence whose noise is another than was stated, or changes over the frames."""
+    lines = [
         f"{name}: sigma is stated as {1e3 * entry['stated']:.3g} mm, but the tracks show "
         f"{1e3 * entry['seen']:.3g} mm from frame to frame, which is used"
         for name, entry in document.items()
         if entry["differs"]
+    ]
+    return lines + [
+        f"{name}: the noise changes over the frames, {1e3 * entry['lowest']:.2g} to "
+        f"{1e3 * entry['highest']:.2g} mm; each frame is weighed by its own"
+        for name, entry in document.items()
+        if entry.get("lowest", 0.0) < entry.get("highest", 0.0)
     ]
 
 

@@ -77,13 +77,23 @@ class Whitener:
     observed: (T, M) bool. coordinates: C per marker.
     frame, marker, coordinate: (N,) int, what each whitened row chiefly belongs to (frame by frame). A row is
     whitened with the frames before it and, where there is a common jitter, with its neighbours.
+    course: (T,) what all of the noise is multiplied by, frame by frame; None where it is the same in all.
     """
 
-    def __init__(self, noise: NoiseModel, observed: NDArray[np.bool_], coordinates: int = 3) -> None:
+    def __init__(
+        self,
+        noise: NoiseModel,
+        observed: NDArray[np.bool_],
+        coordinates: int = 3,
+        course: Array | None = None,
+    ) -> None:
         self.observed = np.asarray(observed, dtype=bool)
         if self.observed.ndim != 2:
             raise ValueError(f"observed has shape {self.observed.shape}: expected (frames, markers)")
         frames, markers = self.observed.shape
+        self._course = np.ones(frames) if course is None else np.asarray(course, float)
+        if self._course.shape != (frames,) or not (self._course > 0.0).all():
+            raise ValueError(f"course of shape {self._course.shape}: expected ({frames},), above zero")
         sigma = np.broadcast_to(noise.sigma, (markers,))
         share = np.broadcast_to(noise.correlated_share, (markers,))
         correlated, white = sigma * np.sqrt(share), sigma * np.sqrt(1.0 - share)
@@ -111,7 +121,7 @@ class Whitener:
         if not np.all(np.isfinite(rows)):
             bad = int(np.argmin(np.isfinite(rows.reshape(len(rows), -1)).all(1)))
             raise ValueError(f"frame {self.frame[bad]}, marker {self.marker[bad]}: observed but not finite")
-        values = self._time.whiten(array)
+        values = self._time.whiten(self._steady(array))
         if np.any(self._common > 0.0):
             values = self._remove_common(values)
         return values[self.frame, self.marker, self.coordinate]
@@ -125,7 +135,13 @@ class Whitener:
         values[self.frame, self.marker, self.coordinate] = rows
         if np.any(self._common > 0.0):
             values = self._remove_common(values)  # symmetric
-        return self._time.whiten_transposed(values)
+        return self._steady(self._time.whiten_transposed(values))
+
+    def _steady(self, array: Array) -> Array:
+        """(T, ...) as it would be with noise that is the same in all frames."""
+        if (self._course == 1.0).all():
+            return array
+        return array / self._course.reshape(-1, *(1,) * (array.ndim - 1))
 
     def _spread(self, amplitudes: Array) -> Array:
         """Common jitter of unit scale, amplitudes (T, ...), as whitened series (T, M, ...)."""

@@ -157,7 +157,8 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     keep_missing_force(missing, state.folder, state.options.get("plugin"))
     motions = motions_to_record(found, experiment, trying, report=console.say)
     path = path_rows(plain(done.documents))
-    document = diagnosis_document(found, entries, missing, motions, drift=drift, path=path)
+    table = done.table(found.table)
+    document = diagnosis_document(found, entries, missing, motions, drift=drift, table=table, path=path)
     (state.folder / DOCUMENT).write_text(json.dumps(plain(document), indent=1) + "\n")
     so_far.unlink()
     lines = diagnosis_text(plain(document))
@@ -237,17 +238,18 @@ def diagnosis_document(
     motions: Sequence[Proposed] = (),
     *,
     drift: Sequence[Mapping[str, object]] = (),
+    table: Sequence[Mapping[str, object]] = (),
     path: Sequence[Mapping[str, object]] = (),
 ) -> dict[str, object]:
     """The JSON of a diagnosis. entries: see `ranking_entries`; motions: that would tell the first effect from
-    its rival; drift: see `drift_entries`; path: see `path_rows`."""
+    its rival; drift: see `drift_entries`; table: see `Kept.table`; path: see `path_rows`."""
     return {
         "verdict": found.verdict,
         "effects": list(found.effects),
         "ranking": list(entries),
         "missing_force": None if missing is None else missing.document(),
         "drift": list(drift),
-        "table": list(found.table),
+        "table": list(table),
         "path": list(path),
         "advice": advice(found.verdict, found.effects, entries, found.warnings, motions=motions),
     }

@@ -137,7 +137,8 @@ class Channels:
             noise, sigma=np.median(noise.sigma), correlated_share=np.median(noise.correlated_share),
             common_sigma=np.asarray(0.0),
         )  # fmt: skip
-        whitener = Whitener(typical, np.ones(window.shape[:2], bool), 1)
+        course = self.seen.observation.frames_of_noise[self.seen.first : self.seen.last]
+        whitener = Whitener(typical, np.ones(window.shape[:2], bool), 1, course)
         return whitener.whiten(window[:, :, None])
 
 

@@ -10,6 +10,7 @@ from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import Step, excess
 from mphygs.fit.levenberg_marquardt import covariance
+from mphygs.fit.limits import FAR
 from mphygs.fit.tables import table
 from mphygs.model.belief import Belief
 
@@ -70,13 +71,31 @@ def _row(
     }
 
 
+def with_told(
+    rows: Sequence[Mapping[str, object]], parameters: Mapping[str, Mapping[str, object]], added: Sequence[str]
+) -> list[Row]:
+    """Rows in which the numbers of what was added are those that its step is told with, a standard error of
+    those that are determined. parameters: of the step, by key."""
+    out = []
+    for row in rows:
+        own = {k: e for k, e in parameters.items() if k.rsplit(".", 1)[0] == row["effect"]}
+        if row["effect"] in added and own:
+            names = {key.rsplit(".", 1)[1]: entry for key, entry in own.items()}
+            estimate = {name: entry["value"] for name, entry in names.items()}
+            std = {name: e["std"] for name, e in names.items() if e["determined"] and np.isfinite(e["std"])}
+            row = {**row, "estimate": {**row["estimate"], **estimate}, "std": std}
+        out.append(dict(row))
+    return out
+
+
 def _numbers(refit: Refit) -> tuple[dict[str, float], dict[str, float]]:
-    """The effect's numbers as refitted, and their standard errors by the noise."""
+    """The effect's numbers as refitted, and their standard errors by what is left: noise, or little more."""
     belief, owner = refit.belief, f"{refit.entry.effect}."
     values = {p.key.removeprefix(owner): p.value for p in belief.parameters if p.key.startswith(owner)}
-    if refit.solution.evaluation.jacobian.shape[1] != len(belief.free):
+    evaluation = refit.solution.evaluation
+    if evaluation.jacobian.shape[1] != len(belief.free) or evaluation.misfit > FAR:
         return values, {}
-    spread = np.sqrt(np.maximum(np.diag(covariance(refit.solution.evaluation)), 0.0))
+    spread = np.sqrt(np.maximum(np.diag(covariance(evaluation)), 0.0)) * max(evaluation.misfit, 1.0)
     own = zip(belief.free, spread, strict=True)
     return values, {
         p.key.removeprefix(owner): float(p.slope * s) for p, s in own if p.key.startswith(owner)

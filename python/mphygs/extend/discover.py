@@ -28,7 +28,7 @@ from mphygs.extend.seen_faults import fault_lines, fault_names, seen_faults
 from mphygs.extend.settle import choose, settled, step_of
 from mphygs.extend.simplest import among_all, explains, without_loads
 from mphygs.extend.step import FAULT, Step, excess, known_budget, leaves_most
-from mphygs.extend.steps import undetermined
+from mphygs.extend.steps import bounded, undetermined
 from mphygs.extend.window import HALF, passed_on_the_way
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
@@ -67,6 +67,7 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
         first, last = item.frames
         residual = np.full_like(item.observation.position, np.nan)
         residual[first:last] = item.observation.position[first:last] - item.predicted[first:last]
+        residual /= item.observation.frames_of_noise[:, None, None]
         markers = experiment.capture.sequence(name).markers
         bad = bad_observations(residual, markers.at, item.observation.sigma)
         # Frames outside the compared ranges keep what they have.
@@ -284,7 +285,7 @@ def discover(
         if steps[-1].added and not known_budget(steps[-1]):
             coarser = screening_spacing(experiment.capture)
             steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
-        steps[-1] = narrowed(experiment, steps[-1], report)
+        steps[-1] = bounded(narrowed(experiment, steps[-1], report), experiment)
     return replace(
         _conclude(
             steps, rankings, warnings, seen_faults(experiment), final=final,

@@ -12,7 +12,7 @@ import numpy as np
 from mphygs.capture.written import replace_file
 from mphygs.diagnose.ranking import Entry, Ranking
 from mphygs.extend.step import Step
-from mphygs.extend.steps import left_out_of, restored, state_of, step_document
+from mphygs.extend.steps import bounded, left_out_of, restored, state_of, step_document
 from mphygs.extend.told import check_known, check_models, read_steps
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
 from mphygs.fit.experiment import Experiment
@@ -56,6 +56,7 @@ class Kept:
         """Keep a step, the next one or in the place of another. before: effects before the first step; more:
         what else is told of it."""
         at = len(self.documents) if at is None else at
+        step = bounded(step, experiment)
         inside = self.documents[at - 1]["effects"] if at else before
         self.documents[at : at + 1] = [step_document(step, experiment, inside) | dict(more or {})]
         self.states[at : at + 1] = [state_of(step)]
@@ -68,6 +69,11 @@ class Kept:
             restored(experiment, state, document, earlier)
             for state, document, earlier in zip(self.states, self.documents, before, strict=False)
         ]
+
+    def table(self, otherwise: Sequence[Mapping] = ()) -> list[Mapping]:
+        """The candidates of the first round that led to a step, as that step tells them; otherwise: those of
+        a round that led to none."""
+        return list(next((told["table"] for told in self.documents if told["table"]), otherwise))
 
     def document(self, experiment: Experiment) -> dict[str, object]:
         """The JSON to go on from, with the measurements that are left out."""

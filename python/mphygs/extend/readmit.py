@@ -42,6 +42,7 @@ def readmitted(experiment: Experiment, step: Step, report: Callable[[str], None]
         first, last = item.frames
         residual = np.full_like(whole[name].position, np.nan)
         residual[first:last] = whole[name].position[first:last] - item.predicted[first:last]
+        residual /= whole[name].frames_of_noise[:, None, None]
         markers = experiment.capture.sequence(name).markers
         out = whole[name].observed & ~known
         left_out += int(out.sum())

@@ -340,5 +340,7 @@ def unseen_gain(
 def _unseen_square(item: Compared) -> float:
     """Mean square of the distance in unseen frames, per coordinate [sigma^2]; NaN where there are none."""
     window = slice(*item.predict)
-    apart = (item.observation.position[window] - item.predicted[window])[item.observation.observed[window]]
+    apart = item.observation.position[window] - item.predicted[window]
+    apart /= item.observation.frames_of_noise[window, None, None]
+    apart = apart[item.observation.observed[window]]
     return float(np.mean(apart**2)) / item.observation.sigma**2 if len(apart) else np.nan

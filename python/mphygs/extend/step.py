@@ -10,6 +10,7 @@ import numpy as np
 from mphygs.compare.assess import Assessment, Compared
 from mphygs.extend.refit import Refit
 from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.limits import Limits
 from mphygs.fit.uncertainty import grid_change
 from mphygs.model.belief import Belief
 from mphygs.model.registry import outliers
@@ -35,7 +36,9 @@ class Step:
     share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
     coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
     the model as it had been fitted on the coarser grid that it was brought from; halfway: of a first model,
-    as it had been fitted to half the frames on this grid; warnings: what was said on the way to it;
+    as it had been fitted to half the frames on this grid; warnings: what was said on the way to it; limits:
+    how far its numbers can be moved, None where that was not asked (see `bounded`), and with it change: (N,)
+    error of the grid in the measured rows, by a coarser one;
     table: the candidates of the round that led to it (see `candidate_rows`)."""
 
     belief: Belief
@@ -55,6 +58,8 @@ class Step:
     rough: Belief | None = None
     halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
+    limits: Mapping[str, Limits] | None = None
+    change: np.ndarray | None = None
     table: tuple[dict[str, object], ...] = ()
 
     def refitted(
@@ -67,7 +72,7 @@ class Step:
             solution=solution,
             compared=compared,
             assessment=assessment,
-            **changes,
+            **({"limits": None, "change": None} | changes),
         )
 
     @property

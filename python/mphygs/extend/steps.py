@@ -11,6 +11,7 @@ import numpy as np
 
 from mphygs.compare.assess import grid_shift
 from mphygs.compare.metrics import sensors_document
+from mphygs.extend.candidate_table import with_told
 from mphygs.extend.finer import compared_at, compared_by, evaluated
 from mphygs.extend.step import FAULT, Step, known_budget
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
@@ -19,11 +20,14 @@ from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import Solution, covariance
+from mphygs.fit.limits import FAR, narrowed_to_seen
 from mphygs.fit.of_run import errors_of
+from mphygs.fit.one_sided import coarser_change, limits_of
 from mphygs.fit.places import located, movable, with_places
 from mphygs.fit.problem import Problem
-from mphygs.fit.run import Run
-from mphygs.fit.tables import parameters_document
+from mphygs.fit.run import Run, StageRecord
+from mphygs.fit.tables import number_text, parameters_told
+from mphygs.fit.uncertainty import grid_moves
 from mphygs.model.belief import Belief
 
 
@@ -119,7 +123,8 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     """How sure a step is: by the noise, what of it lasts or is shared by markers, places that were fitted and
     boundaries that pictures leave unsure, and in the covariance by the grid as well: by how far its numbers
     came from a coarser one, and by what a refinement of its prediction would move where one is known,
-    whichever is more.
+    whichever is more; where neither is known, by what a coarser grid changes, if that was asked (see
+    `bounded`). Of numbers that are known to show on one side alone it knows nothing.
 
     What a model that misses something leaves bends its numbers as well: there all of the misfit counts as
     noise, and even that says too little, for it goes on from frame to frame.
@@ -141,7 +146,34 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
         shift = grid_shift(step.compared, rows.T @ rows)
     shift = _larger(shift, np.array([step.moved.get(p.key, 0.0) for p in step.belief.free]))
     spread = spread + np.outer(shift, shift)
+    if step.change is not None and not shift.any():
+        # Nothing else tells of the grid.
+        moved = grid_moves(grid, evaluation, step.change, noise)
+        spread = spread + moved @ moved.T
+    information, spread = narrowed_to_seen(step.belief.free, information, spread, step.limits or {})
     return Uncertainty(spread, information, known.std)
+
+
+def bounded(step: Step, experiment: Experiment) -> Step:
+    """The step that knows how far its numbers can be moved (see `limits_of`), and what a coarser grid changes
+    in its prediction."""
+    if step.limits is not None:
+        return step
+    belief, evaluation = step.belief, step.solution.evaluation
+    if evaluation.misfit > FAR:
+        return replace(step, limits={})
+    change = coarser_change(experiment, belief, evaluation, step.spacing)
+    limits = limits_of(experiment.problem(step.spacing), belief, evaluation, change)
+    return replace(step, limits=limits, change=change)
+
+
+def told_parameters(step: Step, experiment: Experiment) -> dict[str, dict[str, object]]:
+    """The numbers of a step as every command tells them."""
+    step = bounded(step, experiment)
+    spread, information, places = uncertainty(step, experiment)
+    belief = located(step.belief, places, experiment.capture.parts)
+    misfit = step.solution.evaluation.misfit
+    return parameters_told(belief, information, spread, misfit, step.limits or {})
 
 
 def _larger(one: np.ndarray | None, other: np.ndarray) -> np.ndarray:
@@ -166,11 +198,10 @@ def _grid_change(step: Step, grid: Problem) -> np.ndarray | None:
 
 def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> dict[str, object]:
     """One step as JSON. before: everything that was in the model, or corrected for, before this step."""
-    spread, information, places = uncertainty(step, experiment)
-    belief = located(step.belief, places, experiment.capture.parts)
+    effects, parameters = step.belief.effects, told_parameters(step, experiment)
     # Corrections for faults that are not terms of the model are effects of the step all the same.
-    kept = [name for name in before if name in belief.effects or name == FAULT]
-    inside = dict.fromkeys(name for name in (*kept, *belief.effects, *step.added) if name not in step.dropped)
+    kept = [name for name in before if name in effects or name == FAULT]
+    inside = dict.fromkeys(name for name in (*kept, *effects, *step.added) if name not in step.dropped)
     return {
         "effects": list(inside),
         "added": list(step.added),
@@ -181,18 +212,22 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
         "p_value": step.assessment.p_value,
         "grid": step.assessment.grid if known_budget(step) else None,
         "by": step.assessment.by or ("all frames" if step.reconciled else None),
-        "table": list(step.table),
-        "parameters": parameters_document(belief, information, spread),
+        "table": with_told(step.table, parameters, step.added),
+        "parameters": parameters,
     }
 
 
 def undetermined(step: Step, experiment: Experiment) -> tuple[str, ...]:
-    """The effects of a step's model of which the data determine no number."""
-    known = uncertainty(step, experiment)
-    told = parameters_document(step.belief, known.information, known.covariance)
+    """The effects of a step's model of which the data determine no number, nor bound one: how hard a stop
+    is may not show, that it is there does."""
+    step = bounded(step, experiment)
+    told, limits = told_parameters(step, experiment), step.limits or {}
+    known = {
+        p.key: told[p.key]["determined"] or p.key in limits and limits[p.key].there for p in step.belief.free
+    }
     found = []
     for name in step.belief.effects:
-        own = [entry["determined"] for key, entry in told.items() if key.startswith(f"{name}.")]
+        own = [sure for key, sure in known.items() if key.startswith(f"{name}.")]
         if own and not any(own):
             found.append(name)
     return tuple(found)
@@ -219,7 +254,14 @@ def run_at(
     answer: Mapping[str, object] | None,
 ) -> Run:
     """The run that ends with a step. options: of the command that made it."""
+    step = bounded(step, experiment)
     spread, information, places = uncertainty(step, experiment)
+    solution = step.solution
+    name = f"with {', '.join(step.belief.effects)}" if step.belief.effects else "fitted on"
+    record = StageRecord(
+        name, step.spacing, solution.history, solution.converged, solution.reason, 0.0,
+        solution.evaluation.misfit,
+    )  # fmt: skip
     return replace(
         run,
         folder=folder,
@@ -229,6 +271,8 @@ def run_at(
         belief=located(step.belief, places, experiment.capture.parts),
         covariance=spread,
         information=information,
+        limits=step.limits or {},
+        history=(*run.history, record),
         left_out=left_out_of(experiment),
         answer=answer,
     )
@@ -250,10 +294,11 @@ def steps_text(steps: Sequence[Mapping[str, object]]) -> list[str]:
             ]
             lines.append(f"  {name}: {', '.join(errors)}")
             lines += _sensor_lines(step.get("sensors", {}).get(name, ()))
-        if step["added"]:
-            for key, entry in step["parameters"].items():
-                if key.rsplit(".", 1)[0] in step["added"]:
-                    lines.append(f"  {key} = {entry['value']:.4g} +- {entry['std']:.2g} {entry['unit']}")
+        for key, entry in step["parameters"].items():
+            if key.rsplit(".", 1)[0] in step["added"]:
+                lines.append(f"  {key} = {number_text(entry)}")
+            elif entry.get("bound"):
+                lines.append(f"  {key}: {entry['note']}")
         if step["ties"]:
             lines.append(f"  not told apart from: {', '.join(step['ties'])}")
     return lines

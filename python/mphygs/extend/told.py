@@ -81,7 +81,11 @@ _STD = maybe(size)
 _ERROR = record({"rms": size, "max": size, "rms_over_sigma": size, "count": count})
 _PARAMETER = record(
     {"value": number, "std": _STD, "unit": sentence, "determined": Entry.flag},
-    {"note": sentence, "interval": many(number, least=2, most=2)},
+    {
+        "note": sentence,
+        "interval": many(number, least=2, most=2),
+        "bound": record({}, {"lower": number, "upper": number}),
+    },
 )
 _TOLD = {
     "effects": _NAMES,

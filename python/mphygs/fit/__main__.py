@@ -20,9 +20,10 @@ from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
+from mphygs.fit.limits import narrowed_to_seen
 from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.of_run import capture_of, feedback_document
-from mphygs.fit.one_sided import coarser_change, limits_of, with_bounds, with_limits
+from mphygs.fit.one_sided import coarser_change, limits_of
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
@@ -31,7 +32,6 @@ from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.schedule import check_spacing, default_spacing
 from mphygs.fit.sensitivity import sensitivity_of
 from mphygs.fit.start import starting_belief
-from mphygs.fit.tables import FAR, parameters_of
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.in_use import hold
 from mphygs.model.registry import USUAL_LAW, effects, laws
@@ -170,16 +170,17 @@ def fitted(
     if options.intervals:
         console.say("the fit is done and kept; intervals from the likelihood:")
         found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
-    limits, problem, evaluation = {}, experiment.problem(state.settings.spacing), None
+    problem, evaluation = experiment.problem(state.settings.spacing), None
     if state.stages is None and not screening:  # the first of many models is no one's answer
         evaluation = problem.evaluate(state.belief)
-    if evaluation is not None and evaluation.misfit <= FAR:  # else what the model lacks would be a bound
-        change = coarser_change(state, experiment, evaluation)
+        change = coarser_change(experiment, state.belief, evaluation, state.settings.spacing)
         limits = limits_of(problem, state.belief, evaluation, change)
-        state = with_limits(state, limits, parameters_of(state))
+        information, spread = narrowed_to_seen(
+            state.belief.free, state.information, state.covariance, limits
+        )
+        state = replace(state, information=information, covariance=spread, limits=limits)
     stages = None if state.stages is None else kept_seconds(state.stages)
     answer = answer_of(state, experiment, found, stages=stages, report=console.say)
-    answer["parameters"] = with_bounds(answer["parameters"], limits)
     if evaluation is not None:
         answer["sensitivity"] = sensitivity_of(problem, state.belief, evaluation)
     if options.feedback is not None:

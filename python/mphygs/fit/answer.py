@@ -49,7 +49,11 @@ def answer_of(
     return more | {
         "run": str(state.folder),
         "parameters": parameters,
-        "like": {key: like(e["value"]) for key, e in parameters.items() if key.endswith(".youngs_modulus")},
+        "like": {
+            key: like(entry["value"])
+            for key, entry in parameters.items()
+            if key.endswith(".youngs_modulus") and entry["determined"]
+        },
         "seconds": sum(stage.seconds for stage in state.history),
         "substeps": problem.evaluate(state.belief, jacobian=False).substeps,
         "substep": substep,

@@ -20,7 +20,8 @@ from mphygs.model.registry import effects
 
 # A direction is undetermined where the posterior's standard deviation is more than half of the prior's.
 LARGEST_SHARE = 0.25
-# Without a prior: this many usual sizes of the parameter, at most half of the way between its bounds.
+# Without a prior: this many usual sizes of the parameter, or its value where that is more, at most half of
+# the way between its bounds.
 USUAL_SIZES = 10.0
 # Priors may decide an uncertainty as long as it is small: 5 % of a logarithm, or of a usual size.
 SMALL = 0.05
@@ -48,7 +49,8 @@ def reference_std(parameter: Parameter) -> float:
     if parameter.log:
         return 3.0
     reach = 0.5 * (parameter.upper - parameter.lower) / parameter.scale
-    return min(USUAL_SIZES, reach) if math.isfinite(reach) else USUAL_SIZES
+    size = max(USUAL_SIZES, abs(parameter.coordinate))
+    return min(size, reach) if math.isfinite(reach) else size
 
 
 def information_of(evaluation: Evaluation, free_count: int) -> np.ndarray:

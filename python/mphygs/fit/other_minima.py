@@ -2,6 +2,9 @@
 
 They are looked for on the coarse grid, where that is cheap, and decided between on the fine one: the coarse
 grid's own error can be more than what lies between two of them.
+
+One may be so near that it is a shoulder of the same valley, and only there on one of the grids. It is seen
+from the minimum itself: a few standard errors along the valley the cost rises less than the curvature says.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -22,6 +25,9 @@ APART = 2.0
 ITERATIONS, ACCURACY = 6, 1e-3
 # A minimum whose cost is so many times the lowest on the coarse grid is none on the fine one.
 NEAR = 1.1
+# Standard errors by the noise, along the valley of a stiffness, where the cost is looked at, one after the
+# other as long as it has risen by less than this share of what the curvature says.
+ALONG, FLAT = (4.0, 8.0, 16.0), 0.5
 # Minima are the same where no logarithm of a stiffness differs by more.
 SAME = 0.1
 
@@ -46,6 +52,30 @@ def other_minima(problem: Problem, belief: Belief) -> list[Belief]:
             found.append((other.evaluation.cost, other.belief))
     lowest = min([least, *(cost for cost, _ in found)])
     return [b for cost, b in sorted(found, key=lambda item: item[0]) if cost < NEAR * lowest]
+
+
+def lower_along(problem: Problem, found: Solution) -> list[Belief]:
+    """Beliefs of a lower cost than a solution's in the valleys of its stiffnesses, the lowest first; all
+    other free numbers follow as far as the curvature says."""
+    belief, evaluation = found.belief, found.evaluation
+    spread = covariance(evaluation)
+    lower: list[tuple[float, Belief]] = []
+    for index, parameter in enumerate(belief.free):
+        std = float(np.sqrt(max(spread[index, index], 0.0)))
+        if not parameter.key.endswith(".youngs_modulus") or std == 0.0:
+            continue
+        for way in (spread[:, index] / std, -spread[:, index] / std):
+            for far in ALONG:
+                there = belief.at(belief.coordinates + far * way)
+                try:
+                    rise = problem.evaluate(there, jacobian=False).cost - evaluation.cost
+                except SimulationError:
+                    break
+                if rise < 0.0:
+                    lower.append((rise, there))
+                if rise > FLAT * 0.5 * far**2:
+                    break
+    return [there for _, there in sorted(lower, key=lambda item: item[0])]
 
 
 def lowest_of(

@@ -75,8 +75,10 @@ class Pictured:
     def of(cls, experiment: Experiment, source: Capture, stages: Path) -> Pictured:
         """Raises CaptureError where Gaussians, features or particles of the stages cannot be used."""
         files = StageFolder(stages)
-        own = files.gaussians if files.gaussians.is_file() else source.gaussians
-        gaussians = read_gaussians(own or files.gaussians)
+        if files.gaussians.is_file() or source.gaussians is None:
+            gaussians = read_gaussians(files.gaussians)
+        else:
+            gaussians = read_gaussians(source.gaussians, source.gaussians_scale)
         segments = len(list(files.parts.glob("*.ply")))
         particles = particles_of(stages, segments)
         looks = None

@@ -20,6 +20,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.tensors import read_tensors
 from mphygs.capture.written import replace_file
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
+from mphygs.fit.limits import Limits, limits_document, limits_from_document
 from mphygs.fit.run_checks import check_run_document
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import Settings
@@ -53,7 +54,8 @@ class Run:
     digest: of its content; stages: folder of the stages of an image capture, None for others;
     settings: of the simulation, spacing in [m]; ranges: frames fitted per sequence;
     covariance: (P, P) of the free coordinates, information: (P, P) what the measurements alone say of them,
-    both None until the fit is complete; history: stages done;
+    both None until the fit is complete; limits: how far numbers can be moved, of those that were asked for,
+    which both matrices know of; history: stages done;
     start: the belief that the fit began with; earlier: that of the stage before the last one, if any;
     left_out: (frame, marker) by sequence of measurements taken as outliers; answer: JSON of the command, once
     complete.
@@ -71,6 +73,7 @@ class Run:
     versions: Mapping[str, str] = field(default_factory=lambda: versions())
     covariance: np.ndarray | None = None
     information: np.ndarray | None = None
+    limits: Mapping[str, Limits] = field(default_factory=dict)
     history: tuple[StageRecord, ...] = ()
     left_out: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     answer: Mapping[str, object] | None = None
@@ -131,6 +134,7 @@ class Run:
             "earlier": None if self.earlier is None else document_of_belief(self.earlier),
             "history": [asdict(record) for record in self.history],
             "left_out": plain_value(self.left_out),
+            "limits": limits_document(self.limits),
             "answer": plain_value(self.answer),
         }
 
@@ -240,6 +244,7 @@ def load_run(path: str | Path) -> Run:
             belief=belief,
             history=tuple(StageRecord(**{**r, "costs": tuple(r["costs"])}) for r in document["history"]),
             left_out={n: tuple((f, m) for f, m in e) for n, e in document["left_out"].items()},
+            limits=limits_from_document(document.get("limits", {})),
             answer=document["answer"],
             earlier=belief_from_document(document["earlier"]) if document.get("earlier") else None,
         )

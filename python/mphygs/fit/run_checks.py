@@ -14,6 +14,7 @@ _MATERIALS = {"youngs_modulus": (1.0, 1e12), "density": (0.1, 1e5), "poissons_ra
 _BUDGETS = (1 << 20, 1 << 40)  # bytes
 _LONGEST_SEED = 1 << 64
 _GRAVITY = 300.0  # m/s^2
+_LARGEST_FACTOR = 1e100  # room for products
 
 
 def check_run_document(root: Entry) -> None:
@@ -45,6 +46,8 @@ def check_run_document(root: Entry) -> None:
     for _, sequence in root["left_out"].children():
         for entry in sequence.elements():
             _check_pair(entry)
+    if limits := root.get("limits"):
+        check_limits(limits)
     if root["answer"].value is not None:
         root["answer"].table()
     root["complete"].flag()
@@ -54,7 +57,7 @@ def check_belief_document(entry: Entry, *, plugin: object = None) -> None:
     """The same for the document of a belief. plugin: what the run says of the file of its own effects."""
     parts = [part.name() for part in entry["parts"].elements()]
     gravity = entry["gravity"].array((3,))
-    if not np.linalg.norm(gravity) <= _GRAVITY:
+    if not np.abs(gravity).max() <= _GRAVITY or np.linalg.norm(gravity) > _GRAVITY:
         raise entry["gravity"].fault("is too strong", f"at most {_GRAVITY:g} m/s^2")
     parameters = {}
     for parameter in entry["parameters"].elements():
@@ -90,6 +93,17 @@ def check_belief_document(entry: Entry, *, plugin: object = None) -> None:
             keys = [key.name() for key in likeness["keys"].elements()]
             likeness["coefficients"].array((len(keys),))
             likeness["std"].number()
+
+
+def check_limits(entry: Entry) -> None:
+    """The same for what is known of how far numbers can be moved, by their keys."""
+    for _, limit in entry.children():
+        for side in ("soft", "stiff"):
+            if limit[side].value is not None and not 0.0 < limit[side].number() < _LARGEST_FACTOR:
+                raise limit[side].wrong("a factor above zero")
+        for key in ("phases", "leaps", "weak"):
+            limit[key].flag()
+        limit["null"].within(-_LARGEST_FACTOR, _LARGEST_FACTOR, "a number")
 
 
 def _check_parameter(entry: Entry) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.fit.levenberg_marquardt import Solution, minimise, told
-from mphygs.fit.other_minima import lowest_of, other_minima
+from mphygs.fit.other_minima import lower_along, lowest_of, other_minima
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -343,6 +343,9 @@ def fit_belief(
         if number and stage.share == plan[number - 1].share and misfit < HOPELESS:
             coarse = problem_at(plan[number - 1].spacing)
             solution = lowest_of(problem, solution, other_minima(coarse, last), report, **given)
+        if number + 1 == len(plan) and solution.evaluation.misfit < HOPELESS:
+            lower = lowest_of(problem, solution, lower_along(problem, solution)[:1], report, **given)
+            solution = replace(lower, start=solution.start)  # the minimum of the coarser grid is the same
         belief = solution.belief
         earlier, last, misfit = last, belief, solution.evaluation.misfit
         problems[stage.spacing].predictors.update(problem.predictors)

@@ -7,13 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mphygs.fit.determined import determinations, of_unit_length
+from mphygs.fit.limits import FAR, Limits, with_bounds
 from mphygs.fit.places import places_document
 from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
-
-# Of the noise [sigma]: a model that leaves more determines nothing, however well the motion would tell it.
-FAR = 5.0
 
 
 def parameters_of(run: Run, found: Mapping[str, Interval] | None = None) -> dict[str, dict[str, object]]:
@@ -25,16 +23,33 @@ def parameters_of(run: Run, found: Mapping[str, Interval] | None = None) -> dict
         raise ValueError(
             f"{run.folder}: is not complete; expected a finished run (fit --out {run.folder} --resume)"
         )
-    document = parameters_document(run.belief, run.information, run.covariance)
     misfit = run.history[-1].misfit if run.history else 0.0
+    document = parameters_told(run.belief, run.information, run.covariance, misfit, run.limits)
+    for key, interval in (found or {}).items():
+        document[key]["interval"] = [interval.lower, interval.upper]
+    return document
+
+
+def parameters_told(
+    belief: Belief,
+    information: np.ndarray,
+    covariance: np.ndarray,
+    misfit: float,
+    limits: Mapping[str, Limits],
+) -> dict[str, dict[str, object]]:
+    """What every command tells of fitted numbers: `parameters_document`, where the model leaves little more
+    than noise, with bounds of what shows on one side alone.
+
+    misfit: of the fitted frames [sigma]; limits: of numbers that were asked for, which the matrices know.
+    """
+    document = parameters_document(belief, information, covariance)
     if misfit > FAR:
         for entry in document.values():
             if entry.get("determined"):
                 why = f"the model leaves {misfit:.3g} times the noise, and what it lacks bends this"
                 entry |= {"determined": False, "note": why}
-    for key, interval in (found or {}).items():
-        document[key]["interval"] = [interval.lower, interval.upper]
-    return document
+        return document
+    return with_bounds(document, limits)
 
 
 def parameters_document(
@@ -81,6 +96,14 @@ def parameters_text(parameters: Mapping[str, Mapping[str, object]]) -> str:
         span = [" to ".join(f"{end:.4g}" for end in entry.get("interval", ()))] if spans else []
         rows.append([key, f"{entry['value']:.5g}", f"{entry['std']:.2g}", str(entry["unit"]), *span, remark])
     return table(rows)
+
+
+def number_text(entry: Mapping[str, object]) -> str:
+    """One fitted number in a line."""
+    if entry["determined"]:
+        std = "?" if entry["std"] is None else f"{entry['std']:.2g}"
+        return f"{entry['value']:.4g} +- {std} {entry['unit']}"
+    return f"{entry['value']:.4g} {entry['unit']}, NOT DETERMINED: {entry.get('note', '')}"
 
 
 def feedback_lines(feedback: Mapping[str, object]) -> list[str]:

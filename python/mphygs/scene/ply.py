@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from mphygs.capture.checks import SIZE
 from mphygs.capture.errors import fault
 from mphygs.capture.written import replace_file
 from mphygs.scene.gaussians import HARMONIC_COUNTS, Gaussians
@@ -23,16 +24,19 @@ _TYPES = {
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _EXPECTED = "a .ply of 3D Gaussian splatting"
 _LONGEST_HEADER, _LARGEST = 100_000, 1_000_000_000  # bytes
+MOST = (0.05, 0.95)  # of the Gaussians along each axis: a few always fly about
 _LOGIT_LIMIT = 1e-6  # from 0 and 1, where the logit has no value
 
 
-def read_gaussians(path: Path) -> Gaussians:
+def read_gaussians(path: Path, scale: float = 1.0) -> Gaussians:
     """The Gaussians (float32) in the .ply at `path`; properties that are not Gaussians' own are passed over.
 
-    Raises CaptureError, one line, where the file is no such .ply, is truncated, or holds numbers that are not
-    finite.
+    scale: metres per unit of the file. Raises CaptureError, one line, where the file is no such .ply, is
+    truncated, holds numbers that are not finite, or an object of no sensible size.
     """
     table = _read_vertices(path)
+    if not len(table):
+        raise fault(str(path), "holds no Gaussian", _EXPECTED)
     names = table.dtype.names or ()
 
     def columns(*wanted: str) -> np.ndarray:
@@ -65,10 +69,13 @@ def read_gaussians(path: Path) -> Gaussians:
     with np.errstate(over="ignore"):
         scales = np.exp(columns(*numbered("scale", 3)))
         opacities = 1 / (1 + np.exp(-columns("opacity")[:, 0]))
+        scales = scales * np.float32(scale)
+        places = columns("x", "y", "z") * np.float32(scale)
     if not np.isfinite(scales).all():
         raise fault(f"{path}: scale_0", "is too large", "logarithms of scales [m]")
+    _check_size(path, places, scales)
     arrays = (
-        columns("x", "y", "z"),
+        places,
         rotations,
         scales,
         opacities,
@@ -76,6 +83,18 @@ def read_gaussians(path: Path) -> Gaussians:
         columns(*numbered("feature", feature_count)),
     )
     return Gaussians(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
+
+
+def _check_size(path: Path, places: np.ndarray, scales: np.ndarray) -> None:
+    """Raises CaptureError where most of the Gaussians, at places (N, 3) and of scales (N, 3) [m], make an
+    object as large as none is."""
+    with np.errstate(over="ignore"):
+        apart = np.linalg.norm(np.ptp(np.quantile(places.astype(float), MOST, axis=0), axis=0))
+        size = float(apart + np.median(scales.max(axis=1).astype(float)))
+    if not SIZE[0] <= size <= SIZE[1]:
+        what = f"its Gaussians make an object of {size:.3g} m"
+        expected = f"{SIZE[0]:g} to {SIZE[1]:g} m; state scale, metres per unit of the file"
+        raise fault(str(path), what, expected)
 
 
 def write_gaussians(path: Path, gaussians: Gaussians) -> None:

@@ -12,10 +12,12 @@ CHECKS = (zero_gaps, label_swaps, frame_drops, noise_level, marker_survey)
 
 
 def examined(tracks: Tracks) -> Tracks:
-    """The tracks put right, with what was found; as they are where some are out of all reach, which is
-    refused elsewhere."""
+    """The tracks put right, with what was found; as they are where some are out of all reach, or nothing was
+    measured, which is refused elsewhere."""
     if (np.abs(tracks.position) > BEYOND).any():
         return tracks
     for check in CHECKS:
+        if not np.isfinite(tracks.position).all(axis=2).any():
+            return tracks
         tracks = check.check(tracks)
     return tracks

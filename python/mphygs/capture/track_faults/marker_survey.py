@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2, f
 
+from mphygs.capture.track_faults.lasting_noise import lasting_noise
 from mphygs.capture.track_faults.tracks import Finding, Tracks
 
 FAULT = "marker_survey"
@@ -37,7 +38,8 @@ def check(tracks: Tracks) -> Tracks:
     if seen.sum() < MARKERS:
         return tracks
     own = np.full(len(tracks.at), tracks.sigma) if tracks.scatter is None else tracks.scatter
-    noise = own[seen] / np.sqrt(len(rest))
+    # Noise that lasts is much the same in all resting frames: their mean is no less off by it.
+    noise = own[seen] * np.sqrt(lasting_noise(tracks.position).of_mean(len(rest)))
     off = rest[:, seen].mean(axis=0) - tracks.at[seen]
     basis = _smooth(tracks.at[seen], second=seen.sum() >= SECOND)
     smooth = basis @ (basis.T @ off)
