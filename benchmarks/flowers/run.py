@@ -35,7 +35,7 @@ VARIANTS = {
     "no-lg": ("--without", "lg"),
     "no-windows": ("--without", "windows"),
     "no-prestress": ("--without", "prestress"),
-    "homogeneous": ("--homogeneous",),
+    "homogeneous": ("--baseline", "homogeneous"),
 }
 
 

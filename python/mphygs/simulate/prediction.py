@@ -76,10 +76,13 @@ class Predictor:
 
         workers: cores that its runs share; halt: set once no more of them are wanted.
         """
-        settings = replace(self.settings, workers=workers)
-        twin = Predictor(self.capture, self.recording, settings, body=self.body)
+        twin = self.alike(replace(self.settings, workers=workers))
         twin._kept, twin._plain, twin._halt = list(self._kept), list(self._plain), halt
         return twin
+
+    def alike(self, settings: Settings) -> Predictor:
+        """The same predictor with other settings of the same grid, of the same body."""
+        return Predictor(self.capture, self.recording, settings, body=self.body)
 
     def forget(self) -> None:
         """Drop what earlier runs left, so that what follows does not depend on them to the last bit."""
@@ -460,6 +463,10 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
+
+
+# What makes the predictor of a sequence: capture, recording, settings and body as `Predictor` takes them.
+Maker = Callable[..., Predictor]
 
 
 def moves_targets(parameter: Parameter) -> bool:
