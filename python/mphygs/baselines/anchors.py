@@ -85,3 +85,12 @@ def carried_points(
         rotation, position = held.poses(times, recording.fps)
         out[:, mine] = np.einsum("tij,kj->tki", rotation, rest[mine]) + position[:, None]
     return out
+
+
+def holds_of(rest: np.ndarray, held: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """(n,) which of a sequence's holds carries each anchor. held: (n,) 1 where one carries it."""
+    hold = np.full(len(rest), -1)
+    for h, box in enumerate(boxes):
+        gap = np.maximum(np.maximum(box[0] - rest, rest - box[1]), 0.0)
+        hold[(held > 0) & (np.linalg.norm(gap, axis=1) < 1e-3 * np.linalg.norm(np.ptp(rest, axis=0)))] = h
+    return hold

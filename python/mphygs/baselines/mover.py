@@ -15,7 +15,6 @@ from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.feedback import Feedback
-from mphygs.simulate.measurement import lateness
 from mphygs.simulate.prediction import Prediction, Predictor
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
@@ -39,16 +38,6 @@ class Mover(Predictor):
         """Frames and steps of frames 0..last-1, and positions [m] and velocities [m/s] of the markers,
         (T, M, 3). Raises SimulationError where the motion is not finite."""
 
-    def start_of(self, belief: Belief, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places [m] and velocities [m/s] of material points (K, 3) [m] when the motion begins."""
-        start = self._start.at(belief, lateness(belief))
-        if start is None:
-            return points.copy(), np.zeros_like(points)
-        attached = self.body.attach(points)
-        rows = self.transfer.carriers(replace(attached, hold=np.full(len(points), -1)))
-        moved = np.einsum("mk,mkc->mc", rows.value, start.displacement[rows.index])
-        return points + moved, np.einsum("mk,mkc->mc", rows.value, start.velocity[rows.index])
-
     def following(
         self,
         rows: csr_matrix,
@@ -57,8 +46,11 @@ class Mover(Predictor):
         place: np.ndarray,
         velocity: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions [m] and velocities [m/s] of the markers, (T, M, 3), that follow anchors by rows (M, n)
-        and holds rigidly. place, velocity: (F + 1, n, 3) of the anchors at the start and the moving frames."""
+        """Positions [m] and velocities [m/s] of the markers, (T, M, 3), by those of anchors and of holds.
+
+        rows: (M, n) weights of the anchors; place, velocity: (F + 1, n, 3) of these at the start and at the
+        moving frames. Raises SimulationError where a position is not finite.
+        """
         a = self.attachment
         rest = a.anchor + a.offset
         position = np.repeat(rest[None], len(timeline.frames), axis=0)
@@ -122,3 +114,16 @@ class Mover(Predictor):
         kept = self._kept if keys else self._plain
         kept[:] = [*kept[-2:], (belief, last, None, None, prediction)]
         return prediction
+
+
+def start_of(
+    predictor: Predictor, belief: Belief, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places [m] and velocities [m/s] of material points (K, 3) [m] when a sequence's motion begins."""
+    start = predictor.start(belief)
+    if start is None:
+        return points.copy(), np.zeros_like(points)
+    attached = replace(predictor.body.attach(points), hold=np.full(len(points), -1))
+    rows = predictor.transfer.carriers(attached)
+    moved = np.einsum("mk,mkc->mc", rows.value, start.displacement[rows.index])
+    return points + moved, np.einsum("mk,mkc->mc", rows.value, start.velocity[rows.index])

@@ -1,9 +1,9 @@
 """The elastic model and an unnamed residual network: what is missing, learnt without a name.
 
 After Gao et al., "Sim-to-real of soft robots with learned residual physics" (2024): a network of the state
-gives forces that the simulation lacks. Materials are fitted first, without it, and stay; it is then trained in
-the loop, through the simulation, on the fitted frames, of which it sees more from stage to stage. Its forces
-are held from one frame to the next.
+gives forces that the simulation lacks. Materials are fitted first, without it, and stay; it is then trained
+in the loop, through the simulation, on the fitted frames, of which it sees more from stage to stage. Its
+forces are held from one frame to the next.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class NeuralPredictor(Mover):
     def loop(
         self, belief: Belief, last: int, weights: Mapping[str, Tensor]
     ) -> tuple[Timeline, Tensor, Tensor]:
-        """Displacement [m] and velocity [m/s] of the nodes at the start and at the moving frames, (F + 1, N, 3)
+        """Displacement [m] and velocity [m/s] of the nodes at the start and the moving frames, (F + 1, N, 3)
         each, differentiable by the weights. Raises SimulationError where a run is unstable."""
         timeline = self.timeline(belief, last, self.stable_substep(belief))
         model = self.model_of(belief)

@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from mphygs.baselines.anchors import Anchors
-from mphygs.baselines.mover import Mover
+from mphygs.baselines.anchors import Anchors, holds_of
+from mphygs.baselines.mover import Mover, start_of
 from mphygs.baselines.spring_system import SPRINGS, Course, SpringRun, Springs
 from mphygs.baselines.training import Plan, Values, taken, train, trained_values
 from mphygs.capture.format import Capture
@@ -49,7 +49,7 @@ class SpringPredictor(Mover):
         super().__init__(capture, recording, settings, body=body)
         self.values = values
         rest = values["anchors"]
-        self.anchors = Anchors(rest, _holds(rest, values["held"], self.body.boxes))
+        self.anchors = Anchors(rest, holds_of(rest, values["held"], self.body.boxes))
         self.springs = Springs.of(rest)
         self.rows = self.anchors.weights(self.attachment.anchor + self.attachment.offset)
 
@@ -63,7 +63,7 @@ class SpringPredictor(Mover):
             raise SimulationError("springs: stiff without bound")
         stiffness = self.springs.stiffness(values["k"], softness)
         timeline = self.timeline(belief, last, self.springs.longest_step(stiffness, damping))
-        place, velocity = self._begin(belief)
+        place, velocity = start_of(self, belief, self.anchors.rest)
         count = len(timeline.moving)
         course = Course(
             timeline.schedule["steps"], timeline.schedule["dt"], ~self.anchors.free,
@@ -90,9 +90,6 @@ class SpringPredictor(Mover):
             out[k + timeline.skipped] = self.rows[free].T @ frame[free]
         return out
 
-    def _begin(self, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
-        return self.start_of(belief, self.anchors.rest)
-
     def _weight(self, belief: Belief) -> np.ndarray:
         return self.body.towards(belief.gravity) if belief.prestress == "off" else np.zeros(3)
 
@@ -109,15 +106,6 @@ class SpringPredictor(Mover):
             each = np.asarray(load.force, float) / (mass * inside.sum())
             out[:, inside] += acting[:, None, None] * each
         return out
-
-
-def _holds(rest: np.ndarray, held: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """(n,) which of a sequence's holds carries each anchor. held: (n,) 1 where one carries it."""
-    hold = np.full(len(rest), -1)
-    for h, box in enumerate(boxes):
-        gap = np.maximum(np.maximum(box[0] - rest, rest - box[1]), 0.0)
-        hold[(held > 0) & (np.linalg.norm(gap, axis=1) < 1e-3 * np.linalg.norm(np.ptp(rest, axis=0)))] = h
-    return hold
 
 
 def maker(run: Run) -> Maker:

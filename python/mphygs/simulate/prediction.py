@@ -134,6 +134,10 @@ class Predictor:
         limit = (-damping + np.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
         return self.settings.safety * float(limit)
 
+    def start(self, belief: Belief) -> Start | None:
+        """The state in frame 0 of a sequence that does not begin at rest, None of others."""
+        return self._start.at(belief, lateness(belief))
+
     def release_shift(self, belief: Belief) -> float:
         """How much later than stated a belief has the release [s]."""
         key = f"{self.recording.name}.release_shift"
@@ -168,7 +172,7 @@ class Predictor:
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if belief.prestress == "equilibrium":
             fields |= self.transfer.prestressed(belief)
-        start = start or self._start.at(belief, lateness(belief))
+        start = start or self.start(belief)
         return fields if start is None else self.transfer.begun(fields, start)
 
     def _imposed(self, belief: Belief, timeline: Timeline) -> dict[str, np.ndarray]:
@@ -236,7 +240,7 @@ class Predictor:
                 for i, slope in zip(indices, slopes, strict=True):
                     changes[i] |= slope
             self.rest_shape.solve(belief)
-        state = start or self._start.at(belief, lateness(belief))
+        state = start or self.start(belief)
         if state is not None:
             changes = [self.transfer.begun_change(c, state) for c in changes]
         own = [i for i, (_, parameter) in enumerate(owned) if start_sequence(parameter) == here]
