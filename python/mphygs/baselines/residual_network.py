@@ -100,7 +100,7 @@ def acceleration(
         near.apart(velocity, scales.spacing) / scales.velocity_near,
     ]
     # Carriers at the fringe may do what no material does: they do not decide.
-    x = torch.cat([torch.clamp(part, -4.0, 4.0) for part in shown], dim=1)
+    x = torch.cat([torch.clamp(part, -4.0, 4.0) for part in shown], dim=1).to(w0.dtype)
     x = torch.tanh(x @ w0.T + b0)
     x = torch.tanh(x @ w1.T + b1)
     return scales.acceleration * (x @ w2.T + b2)

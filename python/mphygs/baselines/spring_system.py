@@ -114,20 +114,25 @@ class SpringRun:
         run.place[0], run.velocity[0] = place, velocity
         limit = FARTHEST * float(np.linalg.norm(np.ptp(place, axis=0)))
         limit += float(np.abs(course.carried).max(initial=0.0))
-        free, back = ~course.held, springs.across.T.tocsr()
+        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is noticed
+            run._go_through(limit)
+        return run
+
+    def _go_through(self, limit: float) -> None:
+        course, start = self.course, self.place[0]
+        free, back = ~course.held, self.springs.across.T.tocsr()
         carried, step = course.carried, 0
         for interval, (steps, dt) in enumerate(zip(course.steps, course.dt, strict=True)):
             for _ in range(steps):
-                x, v = run.place[step], run.velocity[step]
-                push = course.pull[interval] - back @ run._forces(x, v)
-                run.velocity[step + 1, free] = v[free] + dt * push[free]
-                run.place[step + 1, free] = x[free] + dt * run.velocity[step + 1, free]
-                run.place[step + 1, course.held] = carried[step + 1]
-                run.velocity[step + 1, course.held] = (carried[step + 1] - carried[step]) / dt
+                x, v = self.place[step], self.velocity[step]
+                push = course.pull[interval] - back @ self._forces(x, v)
+                self.velocity[step + 1, free] = v[free] + dt * push[free]
+                self.place[step + 1, free] = x[free] + dt * self.velocity[step + 1, free]
+                self.place[step + 1, course.held] = carried[step + 1]
+                self.velocity[step + 1, course.held] = (carried[step + 1] - carried[step]) / dt
                 step += 1
-            if not np.abs(run.place[step] - place).max() < limit:
+            if not np.abs(self.place[step] - start).max() < limit:
                 raise SimulationError("springs: the motion diverges")
-        return run
 
     @property
     def frames(self) -> np.ndarray:
