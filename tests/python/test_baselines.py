@@ -14,7 +14,7 @@ from safetensors.numpy import load_file
 from bar_capture import bar_capture
 from command_example import SIGMA, SPACING, answer, call, make_capture
 from mphygs import predict, view
-from mphygs.baselines import graph, neural, springs, training
+from mphygs.baselines import field, graph, neural, springs, training
 from mphygs.baselines.anchors import Anchors
 from mphygs.baselines.graph_network import edges_of
 from mphygs.baselines.residual_network import NAMES, SHAPES, starting_weights
@@ -47,6 +47,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(springs, "STAGES", 3)
     monkeypatch.setattr(neural, "STAGES", 3)
     monkeypatch.setattr(neural, "ITERATIONS", 2)
+    monkeypatch.setattr(field, "STAGES", 3)
+    monkeypatch.setattr(field, "ITERATIONS", 2)
     monkeypatch.setattr(graph, "STAGES", 3)
     monkeypatch.setattr(graph, "ITERATIONS", 8)
 
@@ -195,6 +197,45 @@ def test_a_graph_network_learns_the_motion_it_is_shown(
     assert np.isfinite(found["other"]["predict"]["rms"])
 
 
+def stiff_tip(path: Path) -> dict[str, np.ndarray]:
+    """Numbers of a field that rises along the bar, by a factor of ten or so."""
+    values = field.starting_weights(0) | {"box": np.asarray(load_capture(path).bounds)}
+    along = np.linspace(-1.0, 1.0, field.RESOLUTION)
+    values["planes"][:] = 0.0
+    values["planes"][0, 0] = along[None]
+    values["weight0"][:] = values["bias0"][:] = 0.0
+    values["weight0"][0, 0], values["bias0"][0], values["weight1"][0, 0] = 1.2, 1.3, 1.0
+    return values
+
+
+def test_a_field_fits_what_one_makes(capture: Path, tmp_path: Path) -> None:
+    values = stiff_tip(capture)
+    path = remade(capture, tmp_path / "made", lambda *a, **k: field.FieldPredictor(values, *a, **k))
+    alone = answer(fit.main, path, "--out", tmp_path / "one", *OPTIONS)["sequences"]
+    found = answer(fit.main, path, "--baseline", "field", "--out", tmp_path / "run", *OPTIONS)["sequences"]
+    assert found["swing"]["fit"]["rms_over_sigma"] < min(1.3, 0.8 * alone["swing"]["fit"]["rms_over_sigma"])
+    assert found["other"]["predict"]["rms_over_sigma"] < 1.6
+
+
+def test_the_slope_of_a_field_is_that_of_differences(capture: Path) -> None:
+    first = load_capture(capture)
+    belief, values = starting_belief(first), stiff_tip(capture)
+    settings = Settings(SPACING, workers=1, dtype="float64")
+    mover = field.FieldPredictor(values, first, first.sequences[0], settings)
+    substep = 0.5 * mover.stable_substep(belief)
+    mover.stable_substep = lambda _: substep  # the same steps for all differences
+    weight = np.random.default_rng(0).standard_normal((12, len(first.sequences[0].markers.at), 3))
+    by_field = field._slope(mover, belief, 12, weight)
+    direction = np.random.default_rng(1).standard_normal(by_field.shape)
+    ends = []
+    factor = mover.factor
+    for step in (1e-4, -1e-4):
+        mover.factor = factor * np.exp(step * direction).reshape(factor.shape)
+        mover.forget()
+        ends.append(float((weight * mover.predict(belief, last=12).position).sum()))
+    assert by_field @ direction == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3)
+
+
 def test_a_graph_joins_each_node_to_its_nearest() -> None:
     rest = np.stack([np.arange(20.0), np.zeros(20), np.zeros(20)], axis=1)
     pairs = {tuple(pair) for pair in edges_of(rest).T.tolist()}
@@ -202,7 +243,7 @@ def test_a_graph_joins_each_node_to_its_nearest() -> None:
     assert not any(a == b for a, b in pairs) and (0, 19) not in pairs
 
 
-@pytest.mark.parametrize("name", ["springs", "neural", "graph"])
+@pytest.mark.parametrize("name", ["springs", "neural", "graph", "field"])
 def test_is_stopped_and_resumed_to_the_bit(
     capture: Path, tmp_path: Path, name: str, quick: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,7 @@ from mphygs.fit.run import Run
 from mphygs.simulate.prediction import Maker, Predictor
 
 # In the order of `mphygs.fit.__main__.Baseline`.
-NAMES = ("homogeneous", "springs", "neural", "graph")
+NAMES = ("homogeneous", "springs", "neural", "graph", "field")
 
 
 def fit_baseline(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
