@@ -15,7 +15,7 @@ from bar_capture import bar_capture
 from command_example import SIGMA, SPACING, answer, call, make_capture
 from mphygs import predict, view
 from mphygs.baselines import field, graph, neural, springs, training
-from mphygs.baselines.anchors import Anchors
+from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import edges_of
 from mphygs.baselines.residual_network import NAMES, SHAPES, starting_weights
 from mphygs.baselines.spring_system import Course, SpringRun, Springs
@@ -85,6 +85,8 @@ def test_anchors_carry_uniform_strain_as_it_is() -> None:
     body = Predictor(bar_capture(), bar_capture().sequences[0], Settings(0.008, workers=1)).body
     anchors = Anchors.of(body, 60)
     assert 55 <= len(anchors.rest) <= 64 and (~anchors.free).sum() >= 4
+    again = holds_of(anchors.rest, (~anchors.free).astype(float), body.boxes)
+    assert np.array_equal(again, anchors.hold)
     points = np.random.default_rng(0).uniform([0.005, 0.002, 0.002], [0.055, 0.018, 0.018], (40, 3))
     strain = np.array([[0.1, 0.02, 0.0], [-0.05, 0.2, 0.03], [0.0, 0.0, -0.1]])
     rows = anchors.weights(points)
@@ -213,7 +215,7 @@ def test_a_field_fits_what_one_makes(capture: Path, tmp_path: Path) -> None:
     path = remade(capture, tmp_path / "made", lambda *a, **k: field.FieldPredictor(values, *a, **k))
     alone = answer(fit.main, path, "--out", tmp_path / "one", *OPTIONS)["sequences"]
     found = answer(fit.main, path, "--baseline", "field", "--out", tmp_path / "run", *OPTIONS)["sequences"]
-    assert found["swing"]["fit"]["rms_over_sigma"] < min(1.3, 0.8 * alone["swing"]["fit"]["rms_over_sigma"])
+    assert found["swing"]["fit"]["rms_over_sigma"] < min(1.2, 0.9 * alone["swing"]["fit"]["rms_over_sigma"])
     assert found["other"]["predict"]["rms_over_sigma"] < 1.6
 
 

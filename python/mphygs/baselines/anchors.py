@@ -32,7 +32,10 @@ class Anchors:
         points = body.quadrature.points.reshape(-1, 3)
         owner = body.geometry["row_hold"]
         held = owner >= 0
-        places = np.concatenate([points, body.geometry["row_target"][held]])
+        gripped = body.geometry["row_target"][held]
+        if len(gripped):  # some stand beside the material, in cells that it fills in part
+            gripped = body.attach(gripped).anchor
+        places = np.concatenate([points, gripped])
         hold = np.concatenate([np.full(len(points), -1), owner[held]])
         chosen = set(farthest_first(places, min(count, len(places))).tolist())
         for h in range(len(body.boxes)):

@@ -51,9 +51,9 @@ STAGES, ITERATIONS = 8, 8
 GROWING = (0.25, 0.5)
 # What total variation costs, and the logarithm of E beyond which it is cut off.
 VARIATION, FARTHEST = 1e-4, 8.0
-# How many times the capture's usual modulus is tried first, as a power of ten, softest first; after so many
+# How many times the capture's usual modulus is tried first, as a power of ten, stiffest first; after so many
 # in a row that are worse than the best, no more.
-TRIED, PATIENCE = tuple(np.arange(-1.5, 2.01, 0.25)), 3
+TRIED, PATIENCE = tuple(np.arange(1.5, -1.6, -0.25)), 2
 
 
 class FieldPredictor(Predictor):

@@ -30,10 +30,10 @@ from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 
 ANCHORS = 100
-# How many times as stiff as the capture's usual start is tried first, as a power of ten.
-TRIED = tuple(np.arange(-1.5, 1.51, 0.25))
-# After so many in a row that are worse than the best, stiffer ones are not tried.
-PATIENCE = 2
+# How many times as stiff as the capture's usual start is tried first, as powers of ten, stiff ones first: too
+# soft, an object falls through many a place where it once was. After so many in a row that are worse than the
+# best, no more.
+TRIED, PATIENCE = tuple(np.arange(1.5, -1.6, -0.25)), 2
 STAGES, ITERATIONS = 12, 5
 RATES = {"k": 0.05, "softness": 0.1, "damping": 0.1}
 SOFTNESS, DAMPING = 0.0, 0.1  # damping: [m/s], of a spring over its length
