@@ -30,6 +30,7 @@ from mphygs.fit.start import starting_belief
 from mphygs.report import __main__ as report
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings
+from pictured_example import pictured_flower, stages_of_truth
 
 OPTIONS = ("--spacing", SPACING, "--workers", 1)
 Make = Callable[..., Predictor]
@@ -333,3 +334,18 @@ def test_one_material_is_fitted_to_markers_as_several_are(capture: Path, tmp_pat
     assert "object.youngs_modulus" in found["parameters"] and found["baseline"] == "homogeneous"
     again = answer(compare.main, tmp_path / "run", "--workers", 1)["sequences"]
     assert again["swing"]["fit"] == found["sequences"]["swing"]["fit"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["springs", "neural", "graph", "field"])
+def test_of_pictures_a_baseline_follows_the_tracks(
+    name: str, tmp_path: Path, quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(neural, "STAGES", 1)
+    flower = pictured_flower(tmp_path / "daisy")
+    stages_of_truth(flower, tmp_path / "stages")
+    options = ("--spacing", 0.009, "--workers", 1, "--prestress", "paper", "--stages", tmp_path / "stages")
+    found = answer(fit.main, flower, "--baseline", name, "--out", tmp_path / "run", *options)["sequences"]
+    assert {"psnr", "iou", "chamfer_px", "rms"} <= set(found["frog"]["fit"])
+    again = answer(compare.main, tmp_path / "run", "--workers", 1)["sequences"]
+    assert again["turned"]["predict"]["iou"] == found["turned"]["predict"]["iou"] > 0.0
