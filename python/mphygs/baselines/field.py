@@ -10,7 +10,7 @@ everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from mphygs.baselines.training import Plan, Values, taken, train, trained_values
+from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.experiment import Experiment
@@ -134,7 +134,7 @@ def starting_weights(seed: int) -> dict[str, np.ndarray]:
     return out
 
 
-def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
+def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run of the field. Raises SimulationError where no modulus can be run."""
     problem = experiment.problem(run.settings.spacing)
     belief = replace(run.belief, parameters=tuple(replace(p, free=False) for p in run.belief.parameters))
@@ -182,7 +182,7 @@ def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
                 cost = measure(values, ITERATIONS * STAGES, slopes=False)[0]
             except SimulationError:
                 continue
-            say(f"field: 10^{power:+.2f} of the usual modulus, misfit {np.sqrt(2.0 * cost):.4g}")
+            progress(0.0, f"field: 10^{power:+.2f} of the usual modulus, misfit {np.sqrt(2.0 * cost):.4g}")
             worse += 1
             if best is None or cost < best[0]:
                 best, worse = (cost, values), 0
@@ -195,7 +195,7 @@ def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
     plan = Plan(
         RATES, STAGES, ITERATIONS, begins=tuple((k + 1) * ITERATIONS for k in range(len(GROWING)))
     )
-    run = train(run, start, measure, plan, {"box": box}, say, name="field")
+    run = train(run, start, measure, plan, {"box": box}, progress, name="field")
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))
 
 

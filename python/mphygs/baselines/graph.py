@@ -7,7 +7,7 @@ random, and predicts frame by frame. It knows no gravity, no mass and no law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import HISTORY, SHAPES, Graph, starting_weights
 from mphygs.baselines.mover import Mover, start_of
-from mphygs.baselines.training import Plan, Values, taken, train, trained_values
+from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.experiment import Experiment
@@ -113,7 +113,7 @@ def maker(run: Run) -> Maker:
     return partial(GraphPredictor, found)
 
 
-def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
+def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run of the network. Raises ValueError where sequences differ in their frames per second,
     or one has no frames to learn from."""
     problem = experiment.problem(run.settings.spacing)
@@ -152,10 +152,8 @@ def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
         "fps": np.array([first.recording.fps]),
     }  # fmt: skip
     plan = Plan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, best=False)
-    run = train(
-        run, lambda: starting_weights(np.random.default_rng([run.seed, 0])), measure, plan, constants, say,
-        name="graph",
-    )  # fmt: skip
+    begun = starting_weights(np.random.default_rng([run.seed, 0]))
+    run = train(run, lambda: begun, measure, plan, constants, progress, name="graph")
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 
+from mphygs.baselines.training import Progress
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
@@ -37,13 +38,13 @@ SEARCHES = 8
 PATIENCE = 2
 
 
-def fit(run: Run, experiment: Experiment, report: Callable[[str], None]) -> Run:
+def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run of a belief with one part. Raises SimulationError where no stiffness can be run."""
     if run.complete:
         return run
     pictured = pictured_of(run, experiment)
     if pictured is None:
-        return fit_run(run, experiment, progress=lambda _, line: report(line))
+        return fit_run(run, experiment, progress=progress)
     began = time.monotonic()
     watched = {name: watch(pictured, name, span, looks=False) for name, span in experiment.fitted.items()}
     key = f"{run.belief.parts[0]}.youngs_modulus"
@@ -56,7 +57,8 @@ def fit(run: Run, experiment: Experiment, report: Callable[[str], None]) -> Run:
             found = silhouette_loss(pictured, watched, belief)
         except SimulationError:
             found = math.inf
-        report(f"silhouettes: E {math.exp(log_modulus):.3g} Pa, loss {found:.5f}")
+        share = min((len(costs) + 1) / (len(TRIED) + SEARCHES), 1.0)
+        progress(share, f"silhouettes: E {math.exp(log_modulus):.3g} Pa, loss {found:.5f}")
         costs.append(found)
         return found
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
 
+from mphygs.baselines.training import Progress
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import baseline_of
 from mphygs.fit.run import Run
@@ -14,9 +14,9 @@ from mphygs.simulate.prediction import Maker, Predictor
 NAMES = ("homogeneous", "springs", "neural", "graph", "field")
 
 
-def fit_baseline(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
+def fit_baseline(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run of the baseline of its options. Raises SimulationError where it cannot start."""
-    return _module(baseline_of(run)).fit(run, experiment, say)
+    return _module(baseline_of(run)).fit(run, experiment, progress)
 
 
 def maker_of(run: Run) -> Maker:

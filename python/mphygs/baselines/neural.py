@@ -8,7 +8,7 @@ forces are held from one frame to the next.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -25,7 +25,7 @@ from mphygs.baselines.residual_network import (
     acceleration,
     starting_weights,
 )
-from mphygs.baselines.training import Plan, Values, taken, train, trained_values
+from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.checkpointed import fit_run
@@ -41,6 +41,8 @@ from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 
 STAGES, ITERATIONS = 8, 8
+# Of the work, the fit of the elastic model.
+ELASTIC = 0.2
 # Shares of the fitted frames that the first stages see.
 GROWING = (0.25, 0.5)
 RATE = 0.01
@@ -147,9 +149,9 @@ def maker(run: Run) -> Maker:
     return partial(NeuralPredictor, found)
 
 
-def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
+def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run: materials, then the network. Raises SimulationError where the fit cannot start."""
-    run = fit_run(run, experiment, progress=lambda _, line: say(line))
+    run = fit_run(run, experiment, progress=lambda share, line: progress(ELASTIC * share, line))
     problem = experiment.problem(run.settings.spacing)
     belief = run.belief
     movers: dict[str, NeuralPredictor] = {}
@@ -183,8 +185,13 @@ def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
         dict.fromkeys(NAMES, RATE), STAGES, ITERATIONS,
         begins=tuple((k + 1) * ITERATIONS for k in range(len(GROWING))),
     )  # fmt: skip
+
+    def later(share: float, line: str) -> None:
+        progress(ELASTIC + (1.0 - ELASTIC) * share, line)
+
+    constants = {"scales": scales.numbers}
     return train(
-        run, lambda: starting_weights(run.seed), measure, plan, {"scales": scales.numbers}, say, name="neural"
+        run, lambda: starting_weights(run.seed), measure, plan, constants, later, name="neural"
     )
 
 

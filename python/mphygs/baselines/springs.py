@@ -7,7 +7,7 @@ Fitted, through all steps of the motion: the stiffness of every anchor, softness
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +16,7 @@ import numpy as np
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.mover import Mover, start_of
 from mphygs.baselines.spring_system import SPRINGS, Course, SpringRun, Springs
-from mphygs.baselines.training import Plan, Values, taken, train, trained_values
+from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.experiment import Experiment
@@ -118,7 +118,7 @@ def maker(run: Run) -> Maker:
     return partial(SpringPredictor, found)
 
 
-def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
+def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run of springs. Raises SimulationError where no stiffness can be run."""
     problem = experiment.problem(run.settings.spacing)
     first = next(iter(problem.predictors.values()))
@@ -164,7 +164,8 @@ def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
                 cost = measure(values, 0, slopes=False)[0]
             except SimulationError:
                 continue
-            say(f"springs: 10^{power:+.2f} times as stiff as usual, misfit {np.sqrt(2.0 * cost):.4g}")
+            left = np.sqrt(2.0 * cost)
+            progress(0.0, f"springs: 10^{power:+.2f} times as stiff as usual, misfit {left:.4g}")
             worse += 1
             if best is None or cost < best[0]:
                 best, worse = (cost, values), 0
@@ -175,7 +176,7 @@ def fit(run: Run, experiment: Experiment, say: Callable[[str], None]) -> Run:
         return best[1]
 
     plan = Plan(RATES, STAGES, ITERATIONS)
-    run = train(run, start, measure, plan, constants, say, name="springs")
+    run = train(run, start, measure, plan, constants, progress, name="springs")
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))
 
 

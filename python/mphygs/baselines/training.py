@@ -22,6 +22,8 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 SHORTER = 0.5
 
 Values = dict[str, np.ndarray]
+# Told the share of the work done, and a line.
+Progress = Callable[[float, str], None]
 # Cost and its gradient by the values; the number of the iteration.
 Measure = Callable[[Mapping[str, np.ndarray], int], tuple[float, Values]]
 
@@ -82,11 +84,12 @@ class Trained:
 
 def train(
     run: Run, start: Callable[[], Mapping[str, np.ndarray]], measure: Measure, plan: Plan,
-    constants: Mapping[str, np.ndarray], say: Callable[[str], None], *, name: str,
+    constants: Mapping[str, np.ndarray], progress: Progress, *, name: str,
 ) -> Run:  # fmt: skip
     """The stages that a run has not had yet; the folder is written after each of them.
 
-    start: the values before the first iteration; constants: what else predicting takes, kept beside them.
+    start: the values before the first iteration; constants: what else predicting takes, kept beside them;
+    progress: told the share of the work done, and a line.
     Raises SimulationError where even the start cannot be computed.
     """
     path = run.folder / TRAINED
@@ -100,7 +103,7 @@ def train(
             number = len(state.costs)
             if number in plan.begins:
                 state.lowest = np.inf
-            _one(state, measure, plan, number, total)
+            _one(state, start, measure, plan, number, total)
         state.seconds.append(time.monotonic() - began)
         done = len(state.costs) == total
         if done:
@@ -108,18 +111,28 @@ def train(
         _write(path, state, constants, complete=done)
         run = _with_history(run, state, plan, name)
         run.save()
-        say(f"{name}: iteration {len(state.costs)} of {total}, misfit {_misfit(state.costs[-1]):.4g}")
+        line = f"{name}: iteration {len(state.costs)} of {total}, misfit {_misfit(state.costs[-1]):.4g}"
+        progress(len(state.costs) / total, line)
     return run
 
 
-def _one(state: Trained, measure: Measure, plan: Plan, number: int, total: int) -> None:
+def _one(
+    state: Trained,
+    start: Callable[[], Mapping[str, np.ndarray]],
+    measure: Measure,
+    plan: Plan,
+    number: int,
+    total: int,
+) -> None:
     try:
         cost, gradient = measure(state.values, number)
         if not np.isfinite(cost) or not all(np.isfinite(g).all() for g in gradient.values()):
             raise SimulationError("the motion or its gradient is not finite")
     except SimulationError:
-        if not np.isfinite(state.lowest):
+        if not state.costs:
             raise
+        if not np.isfinite(state.lowest):  # what did for fewer frames does not for more
+            state.best = _copy(dict(start()))
         state.back()
         return
     fall = 0.5 * (1.0 + np.cos(np.pi * number / total))
@@ -133,7 +146,7 @@ def trained_values(run: Run) -> Values:
     if not path.is_file():
         raise ValueError(_unfinished(run.folder))
     found = read_tensors(path, "the numbers of a baseline")
-    if "complete" not in found or not float(np.ravel(found["complete"])[0]):
+    if "complete" not in found or not found["complete"].any():
         raise ValueError(_unfinished(run.folder))
     for key, value in found.items():
         if not np.isfinite(value).all() and key != "state.lowest":
@@ -211,5 +224,5 @@ def _read(path: Path) -> Trained:
             found["state.costs"].tolist(), found["state.seconds"].tolist(),
             float(found["state.lowest"][0]), float(found["state.shrunk"][0]),
         )  # fmt: skip
-    except KeyError as error:
-        raise ValueError(f"{path}: has no {error}; expected the numbers of a baseline") from error
+    except (KeyError, IndexError) as error:
+        raise ValueError(f"{path}: is damaged ({error}); expected the numbers of a baseline") from error

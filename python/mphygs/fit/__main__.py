@@ -162,7 +162,7 @@ def fitted(
     console.begin()
     baseline = baseline_of(state)
     if baseline is not None:
-        state = fit_baseline(state, experiment, console.say)
+        state = fit_baseline(state, experiment, console.progress)
         experiment = replace(experiment, make=maker_of(state), problems={})
     elif state.stages is not None:
         state = fit_pictured(state, experiment, console)
@@ -386,7 +386,7 @@ def _resumed(options: FitOptions, console: Console) -> Run:
                 f"--{key}: got {value}, but {folder} began with {stored}; expected the same options to resume"
             )
     _check_intervals(options, pictures=state.stages is not None)
-    if state.complete:
+    if state.complete and baseline_of(state) in (None, HOMOGENEOUS):
         console.say(f"{folder}: the fit is complete")
     else:
         console.say(f"{folder}: continuing after {len(state.history)} stages")
