@@ -38,8 +38,9 @@ CASES = {
     "tether": ("tether",),
     "actuation": ("actuation:amplitude=2000",),
 }
-# The method, the elastic model alone, and the baselines.
-ROWS = ("discover", "elastic", *NAMES)
+# The method, the elastic model alone, and the baselines that take markers.
+BASELINES = tuple(name for name in NAMES if name != "prior")
+ROWS = ("discover", "elastic", *BASELINES)
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def command_of(row: str, capture: Path, run: Path, seed: int, workers: int) -> l
     """What makes, or goes on with, one row."""
     words = ["discover" if row == "discover" else "fit", str(capture), "--out", str(run)]
     words += ["--seed", str(seed), "--workers", str(workers)]
-    words += ["--baseline", row] if row in NAMES else []
+    words += ["--baseline", row] if row in BASELINES else []
     begun = (run / "run.json").is_file()
     return [sys.executable, "-m", "mphygs", *words, "--json", *(["--resume"] if begun else [])]
 

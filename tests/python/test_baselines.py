@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -320,6 +321,7 @@ def test_damaged_numbers_are_told_in_one_line(sprung: Mapping, tmp_path: Path) -
         (["--baseline", "springs", "--effects", "viscosity"], "--baseline springs: not with --effects"),
         (["--baseline", "neural", "--transfer", "mls"], "--baseline neural: not with --transfer"),
         (["--baseline", "graph", "--feedback", "1"], "--baseline graph: not with --feedback"),
+        (["--baseline", "prior"], "--baseline prior: "),
     ],
 )
 def test_what_does_not_go_together_is_refused(
@@ -336,16 +338,35 @@ def test_one_material_is_fitted_to_markers_as_several_are(capture: Path, tmp_pat
     assert again["swing"]["fit"] == found["sequences"]["swing"]["fit"]
 
 
+@pytest.fixture(scope="module")
+def flower(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A flower in pictures, its stages in a folder of their own in it."""
+    folder = tmp_path_factory.mktemp("flower")
+    stages_of_truth(pictured_flower(folder / "daisy"), folder / "stages")
+    return folder
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["springs", "neural", "graph", "field"])
 def test_of_pictures_a_baseline_follows_the_tracks(
-    name: str, tmp_path: Path, quick: None, monkeypatch: pytest.MonkeyPatch
+    name: str, flower: Path, tmp_path: Path, quick: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(neural, "STAGES", 1)
-    flower = pictured_flower(tmp_path / "daisy")
-    stages_of_truth(flower, tmp_path / "stages")
-    options = ("--spacing", 0.009, "--workers", 1, "--prestress", "paper", "--stages", tmp_path / "stages")
-    found = answer(fit.main, flower, "--baseline", name, "--out", tmp_path / "run", *options)["sequences"]
+    options = ("--spacing", 0.009, "--workers", 1, "--prestress", "paper", "--stages", flower / "stages")
+    out = ("--out", tmp_path / "run")
+    found = answer(fit.main, flower / "daisy", "--baseline", name, *out, *options)["sequences"]
     assert {"psnr", "iou", "chamfer_px", "rms"} <= set(found["frog"]["fit"])
     again = answer(compare.main, tmp_path / "run", "--workers", 1)["sequences"]
     assert again["turned"]["predict"]["iou"] == found["turned"]["predict"]["iou"] > 0.0
+
+
+@pytest.mark.slow
+def test_materials_by_looks_are_near_those_of_the_kind(flower: Path, tmp_path: Path) -> None:
+    options = ("--spacing", 0.009, "--workers", 1, "--prestress", "paper", "--stages", flower / "stages")
+    found = answer(fit.main, flower / "daisy", "--baseline", "prior", "--out", tmp_path / "run", *options)
+    assert found["parameters"] == {} and found["sequences"]["turned"]["predict"]["iou"] > 0.3
+    run = load_run(tmp_path / "run")
+    truth = list(json.loads((flower / "daisy" / "answer.json").read_text())["parts"].values())
+    said = [[run.belief[f"{p}.{k}"].value for k in ("youngs_modulus", "density")] for p in run.belief.parts]
+    away = np.log10(np.array(said) / [[t["E"], t["rho"]] for t in truth])
+    assert np.abs(away).max() < 0.6 and np.sqrt(np.mean(away**2)) < 0.25

@@ -11,12 +11,15 @@ from mphygs.fit.run import Run
 from mphygs.simulate.prediction import Maker, Predictor
 
 # In the order of `mphygs.fit.__main__.Baseline`.
-NAMES = ("homogeneous", "springs", "neural", "graph", "field")
+NAMES = ("homogeneous", "springs", "neural", "graph", "field", "prior")
 
 
-def fit_baseline(run: Run, experiment: Experiment, progress: Progress) -> Run:
-    """The complete run of the baseline of its options. Raises SimulationError where it cannot start."""
-    return _module(baseline_of(run)).fit(run, experiment, progress)
+def fit_baseline(run: Run, experiment: Experiment, progress: Progress, **more: object) -> Run:
+    """The complete run of the baseline of its options. more: what one takes besides, the examples of `prior`.
+
+    Raises SimulationError where it cannot start.
+    """
+    return _module(baseline_of(run)).fit(run, experiment, progress, **more)
 
 
 def maker_of(run: Run) -> Maker:

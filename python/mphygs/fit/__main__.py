@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -91,8 +92,8 @@ class FitOptions(CommonOptions):
     baseline: Baseline | None = None
     """What others do, on this capture, in the method's place: homogeneous (one material, of a capture in
     pictures fitted to silhouettes alone), springs (between anchors), neural (the elastic model and a residual
-    network), graph (a graph network), field (E as
-    a smooth field). `compare`, `predict` and `report` take its run."""
+    network), graph (a graph network), field (E as a smooth field), prior (of a capture in pictures: materials
+    by looks, no fit). `compare`, `predict` and `report` take its run."""
     feedback: Annotated[float | None, tyro.conf.arg(metavar="[GAIN]")] = None
     """Also the error of the fitted model under feedback from the measurement, beside the free one. Gain from
     0 to 1, without a number 1: a memory of two frames."""
@@ -162,7 +163,12 @@ def fitted(
     console.begin()
     baseline = baseline_of(state)
     if baseline is not None:
-        state = fit_baseline(state, experiment, console.progress)
+        more: dict[str, object] = {}
+        if baseline == "prior":
+            from mphygs.synth.flower.looks import flower_looks
+
+            more["examples"] = partial(flower_looks, state.seed)
+        state = fit_baseline(state, experiment, console.progress, **more)
         experiment = replace(experiment, make=maker_of(state), problems={})
     elif state.stages is not None:
         state = fit_pictured(state, experiment, console)
@@ -272,6 +278,8 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))
         stages, capture = _seen(options, capture, out, console)
+    if stages is None and options.baseline == "prior":
+        raise OptionError(f"--baseline prior: {path} has markers; expected a capture in pictures")
     if stages is None and options.baseline == HOMOGENEOUS:
         capture = as_one_part(capture)
     if stages is None and (options.without or options.stages):
