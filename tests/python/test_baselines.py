@@ -148,6 +148,7 @@ def test_springs_fit_what_springs_make(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(springs, "ANCHORS", 24)
+    monkeypatch.setattr(springs, "STAGES", 7)
     values = spring_values(capture, 0.4)
     path = remade(capture, tmp_path / "made", lambda *a, **k: springs.SpringPredictor(values, *a, **k))
     found = answer(fit.main, path, "--baseline", "springs", "--out", tmp_path / "run", *OPTIONS)
@@ -158,7 +159,10 @@ def test_springs_fit_what_springs_make(
     assert errors["other"]["predict"]["rms_over_sigma"] < 1.6
 
 
-def test_a_residual_network_fits_what_one_makes(capture: Path, tmp_path: Path) -> None:
+def test_a_residual_network_fits_what_one_makes(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(neural, "STAGES", 5)
     weights = starting_weights(7)
     weights["weight2"] = 0.15 * np.random.default_rng(8).standard_normal(SHAPES[NAMES.index("weight2")])
     first = load_capture(capture)
@@ -193,11 +197,11 @@ def test_a_network_that_says_nothing_is_the_elastic_model(capture: Path) -> None
 def test_a_graph_network_learns_the_motion_it_is_shown(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(graph, "ITERATIONS", 25)
+    monkeypatch.setattr(graph, "ITERATIONS", 15)
     found = answer(fit.main, capture, "--baseline", "graph", "--out", tmp_path / "run", *OPTIONS)["sequences"]
     markers = load_capture(capture).sequence("swing").markers
     moved = np.sqrt(np.nanmean(np.sum((markers.position[:16] - markers.at) ** 2, axis=2)))
-    assert found["swing"]["fit"]["rms"] < 0.4 * moved
+    assert found["swing"]["fit"]["rms"] < 0.5 * moved
     assert np.isfinite(found["other"]["predict"]["rms"])
 
 

@@ -33,9 +33,9 @@ from mphygs.simulate.timeline import Timeline
 
 # Free nodes at most.
 NODES = 60
-STAGES, ITERATIONS, RATE = 10, 100, 2e-3
-# Stretches of an iteration, and frames of each, in the first and the second half of the training.
-BATCH, ROLLOUTS = 8, (3, 8)
+STAGES, ITERATIONS, RATE = 10, 90, 2e-3
+# Stretches of an iteration, and frames of each, in the thirds of the training.
+BATCH, ROLLOUTS = 8, (3, 8, 20)
 # Noise on the frames that a stretch begins with, over the markers' own.
 NOISE = 0.3
 # What the lengths of edges count by, beside places.
@@ -139,7 +139,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     def measure(values: Mapping[str, np.ndarray], number: int) -> tuple[float, Values]:
         weights = _tensors(values, slopes=True)
         generator = np.random.default_rng([run.seed, 1, number])
-        steps = ROLLOUTS[int(number >= STAGES * ITERATIONS // 2)]
+        steps = ROLLOUTS[len(ROLLOUTS) * number // (STAGES * ITERATIONS)]
         cost = _stretches(graph, weights, shown, steps, generator)
         cost.backward()
         slopes = {n: w.grad.numpy().astype(float) for n, w in weights.items()}

@@ -2,8 +2,8 @@
 
 Le et al., "Pixie: fast and generalizable supervised learning of 3D physics from pixels" (2025): a network
 learns materials of places of an object from examples whose materials are known, and another object is
-simulated with what it says. Here the examples are grown flowers (`mphygs.synth.flower.looks`), a place is told
-by its colour, that of what is near and where on the object it stands, and a part has the mean over its
+simulated with what it says. Here the examples are grown flowers (`mphygs.synth.flower.looks`), a place is
+told by its colour, that of what is near and where on the object it stands, and a part has the mean over its
 particles. The network is trained anew by every run, from its seed.
 """
 
