@@ -10,7 +10,6 @@ from mphygs.fit.of_run import baseline_of
 from mphygs.fit.run import Run
 from mphygs.simulate.prediction import Maker, Predictor
 
-# In the order of `mphygs.fit.__main__.Baseline`.
 NAMES = ("homogeneous", "springs", "neural", "graph", "field", "prior")
 
 
