@@ -127,7 +127,10 @@ def record(case: str, seed: int, row: str, options: Options) -> dict[str, object
     )
     entry: dict[str, object] = {"case": case, "seed": seed, "row": row, "spec": spec}
     if done.returncode == 0:
-        entry |= errors_of(json.loads(done.stdout)) | {"seconds": time.perf_counter() - began}
+        answer = json.loads(done.stdout)
+        # what was broken off and goes on has spent some before
+        seconds = max(time.perf_counter() - began, float(answer.get("seconds", 0.0)))
+        entry |= errors_of(answer) | {"seconds": seconds}
     else:
         entry["error"] = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
     path.parent.mkdir(parents=True, exist_ok=True)
