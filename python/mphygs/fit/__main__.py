@@ -278,6 +278,11 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))
         stages, capture = _seen(options, capture, out, console)
+    read = next((r.name for r in capture.sequences if r.sensors), None)
+    if read is not None and options.baseline not in (None, HOMOGENEOUS, "prior"):
+        raise OptionError(
+            f"--baseline {options.baseline}: sequence '{read}' has sensors; expected markers alone"
+        )
     if stages is None and options.baseline == "prior":
         raise OptionError(f"--baseline prior: {path} has markers; expected a capture in pictures")
     if stages is None and options.baseline == HOMOGENEOUS:
