@@ -21,8 +21,9 @@ QUANTITIES = {"youngs_modulus": "E", "density": "rho"}
 
 
 def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, object]:
-    """Errors of pictures by range, of materials by true part, what its volume came out as over its true one,
-    and the adjusted Rand index of the segments, as they are and with those of one true part made one."""
+    """Errors of pictures by range, of materials by true part where the model fits some, what its volume came
+    out as over its true one, and the adjusted Rand index of the segments, as they are and with those of one
+    true part made one."""
     state = load_run(run)
     truth = load_capture(capture / "truth")
     particles, label, true_part = _labels(state.stages, truth)
@@ -33,7 +34,7 @@ def judged(run: Path, capture: Path, answer: Mapping[str, object]) -> dict[str, 
         "fit": sequences["frog"]["fit"],
         "in": sequences["frog"]["predict"],
         "cross": sequences["turned"]["predict"],
-        "materials": materials(state, label, true_part, names, parts),
+        "materials": materials(state, label, true_part, names, parts) if state.belief.free else {},
         "volume_ratio": {
             part.name: float((true_part == k).sum() * particles.spacing**3 / part.volume)
             for k, part in enumerate(truth.parts)

@@ -22,6 +22,7 @@ import tyro
 from judge import judged, segments
 from table import document, markdown
 
+from mphygs.baselines.kinds import NAMES
 from mphygs.capture.format import load_capture
 from mphygs.command import plain
 from mphygs.image_stages import FOLDER, missing_stages
@@ -35,7 +36,7 @@ VARIANTS = {
     "no-lg": ("--without", "lg"),
     "no-windows": ("--without", "windows"),
     "no-prestress": ("--without", "prestress"),
-    "homogeneous": ("--homogeneous",),
+    **{name: ("--baseline", name) for name in NAMES},
 }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mphygs.command import OptionError
-from mphygs.fit.run import DOCUMENT, FORMAT, same_file
+from mphygs.fit.run import DOCUMENT, FORMAT, TRAINED, same_file
 from mphygs.image_stages import FOLDER
 from mphygs.in_use import hold, is_marked
 
@@ -15,7 +15,7 @@ from mphygs.in_use import hold, is_marked
 COMPARISON = "comparison.json"
 STALE = (
     "diagnosis.json", "diagnosis-so-far.json", "steps.json", COMPARISON, "report.html",
-    "missing-force.safetensors", "missing_force.py",
+    "missing-force.safetensors", "missing_force.py", TRAINED,
 )  # fmt: skip
 # What is in them, by which they are known: keys of a document, the beginning of a file and words in its head.
 _KEYS = {

@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from mphygs.baselines.kinds import maker_of
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.written import replace_arrays
@@ -55,7 +56,9 @@ def predict(options: PredictOptions, console: Console) -> Answer:
     """Simulate every frame of the sequences; positions of markers and surface go to one .npz each."""
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
-    experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
+    experiment, belief = experiment_of(
+        state, workers=options.workers, other=options.capture, make=maker_of(state)
+    )
     recordings = _chosen(experiment.capture, names(options.sequences))
     if options.out is not None:
         claim_output(options.out)

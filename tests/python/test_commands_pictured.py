@@ -208,7 +208,7 @@ def test_parts_of_the_method_can_be_left_out(
 
 def test_homogeneous_has_one_material(capture: Path, stages: Path, fitted: dict, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    found = answer(fit.main, capture, "--out", out, "--stages", stages, "--homogeneous", *OPTIONS)
+    found = answer(fit.main, capture, "--out", out, "--stages", stages, "--baseline", "homogeneous", *OPTIONS)
     assert set(found["parameters"]) == {"object.youngs_modulus", "object.density"}
     truth = json.loads((capture / "answer.json").read_text())["parts"]
     modulus = found["parameters"]["object.youngs_modulus"]["value"]
@@ -223,7 +223,7 @@ def test_homogeneous_has_one_material(capture: Path, stages: Path, fitted: dict,
     ("arguments", "words"),
     [
         (["--without", "magic"], "--without: unknown 'magic'"),
-        (["--homogeneous", "--without", "lg"], "--homogeneous: not with"),
+        (["--baseline", "homogeneous", "--without", "lg"], "--baseline homogeneous: not with --without"),
     ],
 )
 def test_options_are_refused_in_one_line(capture: Path, tmp_path: Path, arguments: list, words: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from mphygs.api.calls import CaptureLike, Home, Progress, call, comma, json_of, place, placed_capture
 from mphygs.api.results import Error, Estimate, Row, Table, errors_figure, errors_of, estimates_of
+from mphygs.baselines.kinds import NAMES
 from mphygs.command import Console
 from mphygs.fit.__main__ import FitOptions, fitted
 from mphygs.fit.run import Run
@@ -86,7 +87,7 @@ def fit(
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton",
     stages: str | Path | None = None,
     without: Sequence[str] | str = (),
-    homogeneous: bool = False,
+    baseline: Literal[NAMES] | None = None,
     feedback: float | None = None,
     intervals: bool = False,
     seed: int = 0,
@@ -121,7 +122,7 @@ def fit(
         optimiser=optimiser,
         stages=None if stages is None else Path(stages),
         without=comma(without),
-        homogeneous=homogeneous,
+        baseline=baseline,
         feedback=feedback,
         intervals=intervals,
         seed=seed,

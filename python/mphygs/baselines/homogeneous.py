@@ -1,8 +1,9 @@
-"""One material for the whole object, fitted to silhouettes alone: the representation of GIC.
+"""One material for the whole object, of pictures fitted to silhouettes alone: the representation of GIC.
 
 Cai et al., "GIC: Gaussian-informed continuum for physical property identification and simulation" (2024),
 match silhouettes by a chamfer distance and an L1 of masks, and know one material an object. Here Young's
-modulus is searched for; density follows from the known mass, or stays as it is where none is known.
+modulus is searched for; density follows from the known mass, or stays as it is where none is known. To
+markers the one material is fitted as the method fits several.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 
+from mphygs.baselines.training import Progress
+from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_fit import Watched, watch
@@ -35,13 +38,13 @@ SEARCHES = 8
 PATIENCE = 2
 
 
-def fit_homogeneous(run: Run, experiment: Experiment, report: Callable[[str], None]) -> Run:
+def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run of a belief with one part. Raises SimulationError where no stiffness can be run."""
     if run.complete:
         return run
     pictured = pictured_of(run, experiment)
-    if pictured is None or len(run.belief.parts) != 1:
-        raise ValueError(f"{run.folder}: expected a capture in pictures, its parts as one")
+    if pictured is None:
+        return fit_run(run, experiment, progress=progress)
     began = time.monotonic()
     watched = {name: watch(pictured, name, span, looks=False) for name, span in experiment.fitted.items()}
     key = f"{run.belief.parts[0]}.youngs_modulus"
@@ -54,7 +57,8 @@ def fit_homogeneous(run: Run, experiment: Experiment, report: Callable[[str], No
             found = silhouette_loss(pictured, watched, belief)
         except SimulationError:
             found = math.inf
-        report(f"silhouettes: E {math.exp(log_modulus):.3g} Pa, loss {found:.5f}")
+        share = min((len(costs) + 1) / (len(TRIED) + SEARCHES), 1.0)
+        progress(share, f"silhouettes: E {math.exp(log_modulus):.3g} Pa, loss {found:.5f}")
         costs.append(found)
         return found
 

@@ -13,6 +13,7 @@ from typing import Annotated
 import tyro
 from matplotlib.figure import Figure
 
+from mphygs.baselines.kinds import maker_of
 from mphygs.capture.format import Capture
 from mphygs.capture.written import replace_file
 from mphygs.claim import PICTURES, claim_output, kept_inside
@@ -80,7 +81,9 @@ def held_against(options: CompareOptions, console: Console) -> Held:
     check_gain(options.feedback)
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
-    experiment, belief = experiment_of(state, workers=options.workers, other=options.capture)
+    experiment, belief = experiment_of(
+        state, workers=options.workers, other=options.capture, make=maker_of(state)
+    )
     wanted = chosen_names(experiment, names(options.sequences))
     if options.out is not None:
         claim_output(options.out)

@@ -7,11 +7,13 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from mphygs.baselines.kinds import NAMES, fit_baseline, maker_of
 from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
@@ -22,7 +24,7 @@ from mphygs.fit.first_frames import starts_text
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.limits import narrowed_to_seen
 from mphygs.fit.marker_labels import well_labelled
-from mphygs.fit.of_run import capture_of, feedback_document
+from mphygs.fit.of_run import HOMOGENEOUS, baseline_of, capture_of, feedback_document
 from mphygs.fit.one_sided import coarser_change, limits_of
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
@@ -42,6 +44,8 @@ from mphygs.simulate.timeline import MOST_SUBSTEPS
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
 Law = Literal[laws()]
+# What others do, see `mphygs.baselines`.
+Baseline = Literal[NAMES]
 Preset = Literal[tuple(s.name for s in SUBSTANCES)]
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
@@ -85,8 +89,11 @@ class FitOptions(CommonOptions):
     """Of a capture in pictures, parts of the method to leave out: l2d (the stage on pictures), ldt (its
     distance maps), lg (grouping of segments that look alike), windows (growing stretches of the motion),
     prestress (the internal force that carries gravity at rest)."""
-    homogeneous: bool = False
-    """Of a capture in pictures: one material, fitted to silhouettes alone, as a baseline."""
+    baseline: Baseline | None = None
+    """What others do, on this capture, in the method's place: homogeneous (one material, of a capture in
+    pictures fitted to silhouettes alone), springs (between anchors), neural (the elastic model and a residual
+    network), graph (a graph network), field (E as a smooth field), prior (of a capture in pictures: materials
+    by looks, no fit). `compare`, `predict` and `report` take its run."""
     feedback: Annotated[float | None, tyro.conf.arg(metavar="[GAIN]")] = None
     """Also the error of the fitted model under feedback from the measurement, beside the free one. Gain from
     0 to 1, without a number 1: a memory of two frames."""
@@ -154,16 +161,22 @@ def fitted(
     if sensors and (state.options.get("schedule") == "paper" or state.options.get("homogeneous")):
         console.say("sensors: compared, but not fitted, which this way of fitting does to markers alone")
     console.begin()
-    if state.options.get("homogeneous"):
-        from mphygs.baselines.homogeneous import fit_homogeneous
+    baseline = baseline_of(state)
+    if baseline is not None:
+        more: dict[str, object] = {}
+        if baseline == "prior":
+            from mphygs.synth.flower.looks import flower_looks
 
-        state = fit_homogeneous(state, experiment, console.say)
+            more["examples"] = partial(flower_looks, state.seed)
+        state = fit_baseline(state, experiment, console.progress, **more)
+        experiment = replace(experiment, make=maker_of(state), problems={})
     elif state.stages is not None:
         state = fit_pictured(state, experiment, console)
     else:
         given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
         state = fit_run(state, experiment, **given, screening=screening, progress=console.progress)
-    if state.stages is not None:
+    simulated = baseline in (None, HOMOGENEOUS)
+    if state.stages is not None and simulated:
         console.say("what the grid and unsure boundaries leave open")
         state = with_shares(state, experiment, console.say)
     found = {}
@@ -171,7 +184,7 @@ def fitted(
         console.say("the fit is done and kept; intervals from the likelihood:")
         found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
     problem, evaluation = experiment.problem(state.settings.spacing), None
-    if state.stages is None and not screening:  # the first of many models is no one's answer
+    if state.stages is None and simulated and not screening:  # the first of many models is no one's answer
         evaluation = problem.evaluate(state.belief)
         change = coarser_change(experiment, state.belief, evaluation, state.settings.spacing)
         limits = limits_of(problem, state.belief, evaluation, change)
@@ -227,9 +240,20 @@ def check_options(options: FitOptions) -> None:
     for name in names(options.without):
         if name not in PARTS:
             raise OptionError(f"--without: unknown '{name}'; expected some of {', '.join(PARTS)}")
-    if options.homogeneous and (options.without or options.effects):
-        raise OptionError("--homogeneous: not with --without or --effects; expected it alone")
+    if options.baseline is not None:
+        _check_baseline(options)
     check_effects(options.transfer, names(options.effects))
+
+
+def _check_baseline(options: FitOptions) -> None:
+    """A baseline is a model of its own: what is about the method's does not go with it."""
+    default = FitOptions()
+    own = ("without", "effects", "schedule", "optimiser")
+    if options.baseline != HOMOGENEOUS:
+        own += ("transfer", "law", "feedback", "intervals")
+    for key in own:
+        if getattr(options, key) != getattr(default, key):
+            raise OptionError(f"--baseline {options.baseline}: not with --{key}; expected it without")
 
 
 def _check_intervals(options: FitOptions, *, pictures: bool) -> None:
@@ -255,15 +279,24 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))
         stages, capture = _seen(options, capture, out, console)
-    if stages is None and (options.without or options.homogeneous or options.stages):
-        name = "--without" if options.without else "--homogeneous" if options.homogeneous else "--stages"
+    read = next((r.name for r in capture.sequences if r.sensors), None)
+    if read is not None and options.baseline not in (None, HOMOGENEOUS, "prior"):
+        raise OptionError(
+            f"--baseline {options.baseline}: sequence '{read}' has sensors; expected markers alone"
+        )
+    if stages is None and options.baseline == "prior":
+        raise OptionError(f"--baseline prior: {path} has markers; expected a capture in pictures")
+    if stages is None and options.baseline == HOMOGENEOUS:
+        capture = as_one_part(capture)
+    if stages is None and (options.without or options.stages):
+        name = "--without" if options.without else "--stages"
         raise OptionError(f"{name}: {path} has markers; expected a capture in pictures")
     settings = Settings(spacing=options.spacing or default_spacing(capture), transfer=options.transfer)
     wanted = names(options.sequences)
     belief = starting_belief(capture, prestress=options.prestress, law=options.law, preset=options.preset)
     if stages is not None:
         belief = pictured_belief(
-            belief, stages, without=names(options.without), homogeneous=options.homogeneous
+            belief, stages, without=names(options.without), homogeneous=options.baseline == HOMOGENEOUS
         )
     for line in starts_text(capture, belief):
         console.say(line)
@@ -321,7 +354,7 @@ def _seen(options: FitOptions, capture: Capture, out: Path, console: Console) ->
     console.resume = again + (f" --stages {shlex.quote(str(home))}" if options.stages else "")
     run_stages(capture, options.capture, home, console)
     whole = assembled(capture, home / FOLDER)
-    return home / FOLDER, as_one_part(whole) if options.homogeneous else whole
+    return home / FOLDER, as_one_part(whole) if options.baseline == HOMOGENEOUS else whole
 
 
 def _frames(text: str | None, capture: Capture, wanted: Sequence[str]) -> tuple[int, int] | None:
@@ -367,7 +400,7 @@ def _resumed(options: FitOptions, console: Console) -> Run:
                 f"--{key}: got {value}, but {folder} began with {stored}; expected the same options to resume"
             )
     _check_intervals(options, pictures=state.stages is not None)
-    if state.complete:
+    if state.complete and baseline_of(state) in (None, HOMOGENEOUS):
         console.say(f"{folder}: the fit is complete")
     else:
         console.say(f"{folder}: continuing after {len(state.history)} stages")

@@ -12,7 +12,7 @@ from mphygs.compare.noise import noise_document, noise_lines
 from mphygs.compare.sensed import sensor_lines
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_document
-from mphygs.fit.of_run import errors_of, pictured_of
+from mphygs.fit.of_run import HOMOGENEOUS, baseline_of, errors_of, pictured_of
 from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.fit.sensitivity import WHY, sensitivity_lines
@@ -45,6 +45,8 @@ def answer_of(
         more["starts"] = starts
     if sensors := sensors_document(compared):
         more["sensors"] = sensors
+    if (name := baseline_of(state)) is not None:
+        more["baseline"] = name
     parameters = parameters_of(state, found)
     return more | {
         "run": str(state.folder),
@@ -105,7 +107,8 @@ def answer_text(state: Run, capture: Capture, *, embedded: bool) -> str:
     lines.append(
         f"  mphygs compare {folder}     where and when it fails, and whether that is more than noise"
     )
-    lines.append(f"  mphygs diagnose {folder}    which physical effect is missing")
+    if baseline_of(state) in (None, HOMOGENEOUS):
+        lines.append(f"  mphygs diagnose {folder}    which physical effect is missing")
     if embedded:
         lines.append(f"  mphygs extend {folder} viscosity    add that effect and see the error fall")
     lines.append(f"  mphygs report {folder}      all of it as one page")

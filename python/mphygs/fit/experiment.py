@@ -16,7 +16,7 @@ from mphygs.fit.problem import Problem
 from mphygs.fit.sensor_noise import compared_sensors, full, with_grid_error
 from mphygs.model.belief import Belief
 from mphygs.simulate.measured_start import of_sequence
-from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.prediction import Maker, Predictor
 from mphygs.simulate.settings import Settings
 
 # Refinement that shows the discretisation's share; the error falls with the square of the spacing.
@@ -40,7 +40,8 @@ def _drop_starts(belief: Belief, keep: Sequence[str]) -> Belief:
 class Experiment:
     """fitted: sequence -> frames to fit; compared ranges come from the capture; whole: sequences that
     windows do not shorten; reference: the belief at which the grid's share in what instruments read was
-    looked at, None where it was not.
+    looked at, None where it was not; make: what makes a predictor, another model's than the simulator's for a
+    baseline.
 
     Bodies, models and noise are built once per spacing and shared by every fit and comparison.
     """
@@ -52,6 +53,7 @@ class Experiment:
     problems: dict[float, Problem] = field(default_factory=dict)
     whole: tuple[str, ...] = ()
     reference: Belief | None = None
+    make: Maker = Predictor
 
     @classmethod
     def of(
@@ -92,7 +94,9 @@ class Experiment:
         """The fit at one spacing."""
         if spacing not in self.problems:
             own = replace(self.settings, spacing=spacing)
-            self.problems[spacing] = Problem(self.capture, own, self.fitted, self.observations)
+            self.problems[spacing] = Problem(
+                self.capture, own, self.fitted, self.observations, make=self.make
+            )
         for name in self.fitted:
             self._observe(name, self.problems[spacing].predictors[name])
         return self.problems[spacing]
@@ -110,7 +114,8 @@ class Experiment:
         kept = tuple(s for s in self.capture.sequences if s.name in names)
         fitted = {name: self.fitted[name] for name in names}
         capture = replace(self.capture, sequences=kept)
-        return Experiment(capture, self.settings, fitted, self.observations, reference=self.reference)
+        own = {"reference": self.reference, "make": self.make}
+        return Experiment(capture, self.settings, fitted, self.observations, **own)
 
     def twin(self, workers: int, halt: Event | None = None) -> Experiment:
         """The same experiment, for another thread: simulators of its own, bodies and measurements shared.

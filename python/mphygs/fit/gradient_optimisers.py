@@ -35,7 +35,7 @@ WALL = 10.0
 
 
 @dataclass
-class _Misfit:
+class Misfit:
     """Half the sum of squares of one sequence's whitened markers in frames first..last-1."""
 
     observation: Observation
@@ -75,7 +75,7 @@ def cost_and_gradient(problem: Problem, belief: Belief) -> tuple[float, np.ndarr
     keys = tuple(p.key for p in belief.free)
     cost, gradient = 0.0, np.zeros(len(keys))
     for name, (first, last) in problem.ranges.items():
-        misfit = _Misfit(problem.observations[name], first, last)
+        misfit = Misfit(problem.observations[name], first, last)
         _, part = predict_with_gradient(
             problem.predictors[name], belief, misfit.slope, keys=keys, last=last, substep=problem.substep,
             reading_slopes=misfit.reading_slopes,

@@ -25,7 +25,8 @@ def predict_points(
     unmeasured = Markers(np.full((recording.frames, len(at), 3), np.nan), at, 1.0)
     body = next((p.body for p in _same_hold(experiment, recording)), None)
     settings = experiment.settings
-    predictor = Predictor(experiment.capture, replace(recording, markers=unmeasured), settings, body=body)
+    there = replace(recording, markers=unmeasured)
+    predictor = experiment.make(experiment.capture, there, settings, body=body)
     return predictor.predict(belief), len(own)
 
 

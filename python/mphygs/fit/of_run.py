@@ -20,14 +20,18 @@ from mphygs.fit.schedule import check_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 from mphygs.simulate.measured_start import of_sequence
+from mphygs.simulate.prediction import Maker, Predictor
 
 if TYPE_CHECKING:
     from mphygs.fit.pictured import Pictured
 
+# The baseline that the simulator predicts.
+HOMOGENEOUS = "homogeneous"
+
 
 def capture_of(run: Run) -> Capture:
     """The capture that a run was fitted to. Raises ValueError when it is no longer what was fitted."""
-    capture = _with_stages(well_labelled(load_capture(run.capture)), run)
+    capture = _as_fitted(well_labelled(load_capture(run.capture)), run)
     if digest_of(capture) != run.digest:
         raise ValueError(
             f"{run.capture}: has changed since {run.folder} was fitted; expected the same capture"
@@ -36,12 +40,19 @@ def capture_of(run: Run) -> Capture:
     return capture
 
 
-def _with_stages(capture: Capture, run: Run, *, tracked: bool = True) -> Capture:
-    """A capture with what the stages of a run found of the object, where the run has stages."""
-    if run.stages is None:
-        return capture
-    capture = assembled(capture, run.stages, tracked=tracked)
-    return as_one_part(capture) if run.options.get("homogeneous") else capture
+def baseline_of(run: Run) -> str | None:
+    """The baseline that a run is, by name; None for a fit of the model."""
+    name = run.options.get("baseline")
+    # as runs before that option said it
+    return HOMOGENEOUS if run.options.get("homogeneous") else None if name is None else str(name)
+
+
+def _as_fitted(capture: Capture, run: Run, *, tracked: bool = True) -> Capture:
+    """A capture with what the stages of a run found of the object, where the run has stages, and with the
+    parts that the run has."""
+    if run.stages is not None:
+        capture = assembled(capture, run.stages, tracked=tracked)
+    return as_one_part(capture) if baseline_of(run) == HOMOGENEOUS else capture
 
 
 def pictured_of(run: Run, experiment: Experiment, *, other: Path | None = None) -> Pictured | None:
@@ -55,25 +66,31 @@ def pictured_of(run: Run, experiment: Experiment, *, other: Path | None = None) 
 
 
 def experiment_of(
-    run: Run, *, workers: int | None = None, other: Path | None = None
+    run: Run, *, workers: int | None = None, other: Path | None = None, make: Maker | None = None
 ) -> tuple[Experiment, Belief]:
     """Simulators of a run's capture, or of another of the same object, and the belief for them.
 
+    make: what makes the predictors, None for simulators and nothing else.
+
     Nothing of another capture counts as fitted; its releases and starts enter the belief as stated or
     measured.
-    Raises ValueError where the other capture has other parts, CaptureError where one cannot be read.
+    Raises ValueError where the other capture has other parts or the run is a baseline that needs a make,
+    CaptureError where one cannot be read.
     """
+    if make is None and (name := baseline_of(run)) not in (None, HOMOGENEOUS):
+        raise ValueError(f"{run.folder}: is the baseline '{name}'; expected a fit of the model")
+    make = make or Predictor
     settings = run.settings if workers is None else replace(run.settings, workers=workers)
     where = f"{run.folder / DOCUMENT}: settings.spacing"
     if other is None:
         own = capture_of(run)
         check_spacing(own, settings.spacing, where)
-        experiment = Experiment(own, settings, dict(run.ranges), reference=run.belief)
+        experiment = Experiment(own, settings, dict(run.ranges), reference=run.belief, make=make)
         for name, left_out in run.left_out.items():
             _leave_out(experiment, name, np.array(left_out))
         return experiment, run.belief
     # Tracks of another capture are not among this run's stages.
-    capture = _with_stages(well_labelled(load_capture(other)), run, tracked=False)
+    capture = _as_fitted(well_labelled(load_capture(other)), run, tracked=False)
     check_spacing(capture, settings.spacing, where)
     parts = tuple(part.name for part in capture.parts)
     if parts != run.belief.parts:
@@ -86,7 +103,7 @@ def experiment_of(
     belief = replace(run.belief, parameters=(*kept, *(replace(p, free=False) for p in fresh)))
     # The other capture's measured fields hold: gravity may be stated in another frame.
     belief = replace(belief, gravity=capture.gravity)
-    return Experiment(capture, settings, {}, reference=belief), belief
+    return Experiment(capture, settings, {}, reference=belief, make=make), belief
 
 
 def _check_places(run: Run, capture: Capture) -> None:

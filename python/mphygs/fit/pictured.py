@@ -115,7 +115,7 @@ class Pictured:
             unmeasured = Markers(np.full((recording.frames, len(at), 3), np.nan), at, 1.0)
             settings = self.experiment.settings
             bodies = [p.body for p in self._alike(recording)]
-            self._predictors[name] = Predictor(
+            self._predictors[name] = self.experiment.make(
                 self.experiment.capture, replace(recording, markers=unmeasured), settings,
                 body=bodies[0] if bodies else None,
             )  # fmt: skip

@@ -17,7 +17,7 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.instruments import Reading
-from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.prediction import Maker, Predictor
 from mphygs.simulate.settings import Settings
 
 # Relative accuracy to which a stated mass of the whole object is held.
@@ -75,7 +75,8 @@ class Problem:
     """Residuals of one capture at one spacing.
 
     ranges: sequence name -> (first, last) frames to use; predictors are built once and shared; gain: of the
-    feedback from the measurement under which everything is simulated, 0 for free runs (see `Feedback`).
+    feedback from the measurement under which everything is simulated, 0 for free runs (see `Feedback`); make:
+    what makes a predictor.
     """
 
     capture: Capture
@@ -85,6 +86,7 @@ class Problem:
     predictors: dict[str, Predictor] = field(default_factory=dict)
     substep: float | None = None
     gain: float = 0.0
+    make: Maker = Predictor
 
     def __post_init__(self) -> None:
         bodies: dict[bytes, object] = {}
@@ -93,7 +95,7 @@ class Problem:
                 continue
             recording = self.capture.sequence(name)
             boxes = b"".join(np.asarray(hold.box, float).tobytes() for hold in recording.held)
-            predictor = Predictor(self.capture, recording, self.settings, body=bodies.get(boxes))
+            predictor = self.make(self.capture, recording, self.settings, body=bodies.get(boxes))
             bodies[boxes] = predictor.body
             self.predictors[name] = predictor
 

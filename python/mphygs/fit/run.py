@@ -27,6 +27,8 @@ from mphygs.simulate.settings import Settings
 
 FORMAT = "mphygs-run/1"
 DOCUMENT, NUMBERS = "run.json", "numbers.safetensors"
+# What a baseline has learnt.
+TRAINED = "baseline.safetensors"
 # Folder of the stages of an image capture in a run's, which may stand elsewhere.
 STAGES = "stages"
 _LONGEST_NAME = 100  # bytes of a folder's name

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import tyro
 
+from mphygs.baselines.kinds import maker_of
 from mphygs.capture.written import replace_file
 from mphygs.claim import claim_file
 from mphygs.command import Answer, CommonOptions, Console, plain, run
@@ -65,7 +66,7 @@ def report(options: ReportOptions, console: Console) -> Answer:
     claim_file(out)
     diagnosis = read_diagnosis(state.folder / DIAGNOSIS)
     steps = read_steps(state.folder / STEPS)
-    experiment, belief = experiment_of(state, workers=options.workers)
+    experiment, belief = experiment_of(state, workers=options.workers, make=maker_of(state))
     if steps is not None:
         check_models(state.folder / STEPS, steps.get("states", ()), experiment.capture)
     spacing = state.settings.spacing

@@ -76,10 +76,13 @@ class Predictor:
 
         workers: cores that its runs share; halt: set once no more of them are wanted.
         """
-        settings = replace(self.settings, workers=workers)
-        twin = Predictor(self.capture, self.recording, settings, body=self.body)
+        twin = self.alike(replace(self.settings, workers=workers))
         twin._kept, twin._plain, twin._halt = list(self._kept), list(self._plain), halt
         return twin
+
+    def alike(self, settings: Settings) -> Predictor:
+        """The same predictor with other settings of the same grid, of the same body."""
+        return Predictor(self.capture, self.recording, settings, body=self.body)
 
     def forget(self) -> None:
         """Drop what earlier runs left, so that what follows does not depend on them to the last bit."""
@@ -131,6 +134,10 @@ class Predictor:
         limit = (-damping + np.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
         return self.settings.safety * float(limit)
 
+    def start(self, belief: Belief) -> Start | None:
+        """The state in frame 0 of a sequence that does not begin at rest, None of others."""
+        return self._start.at(belief, lateness(belief))
+
     def release_shift(self, belief: Belief) -> float:
         """How much later than stated a belief has the release [s]."""
         key = f"{self.recording.name}.release_shift"
@@ -165,7 +172,7 @@ class Predictor:
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         if belief.prestress == "equilibrium":
             fields |= self.transfer.prestressed(belief)
-        start = start or self._start.at(belief, lateness(belief))
+        start = start or self.start(belief)
         return fields if start is None else self.transfer.begun(fields, start)
 
     def _imposed(self, belief: Belief, timeline: Timeline) -> dict[str, np.ndarray]:
@@ -233,7 +240,7 @@ class Predictor:
                 for i, slope in zip(indices, slopes, strict=True):
                     changes[i] |= slope
             self.rest_shape.solve(belief)
-        state = start or self._start.at(belief, lateness(belief))
+        state = start or self.start(belief)
         if state is not None:
             changes = [self.transfer.begun_change(c, state) for c in changes]
         own = [i for i, (_, parameter) in enumerate(owned) if start_sequence(parameter) == here]
@@ -460,6 +467,10 @@ class Predictor:
             for i, tangent in zip(batch.members, result[1:], strict=True):
                 tangents[i] = tangent
         return results[0][0], tangents
+
+
+# What makes the predictor of a sequence: capture, recording, settings and body as `Predictor` takes them.
+Maker = Callable[..., Predictor]
 
 
 def moves_targets(parameter: Parameter) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from mphygs.simulate.measurement import before_measurement
 from mphygs.simulate.prediction import Prediction, Predictor, acts_in_simulation
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
+
+if TYPE_CHECKING:
+    from mphygs.simulate.user_forces import UserForces
 
 
 def predict_with_gradient(
@@ -64,24 +68,7 @@ def _through_simulation(
     reading_bars: Sequence[np.ndarray],
 ) -> list[float]:
     """Inner product of the adjoint's bars of all fields with each parameter's change of them."""
-    transfer, carriers = predictor.transfer, predictor.carriers
-    model = predictor.model_of(belief)
-    fields = predictor.inputs(belief, timeline, start)
-    hook = predictor._hook(belief, fields)
-    transfer.share(model, predictor.workers)
-    run = (model, fields, predictor.schedule(timeline))
-    # A marker that turns needs the motion itself: the derivative of its rotation depends on it.
-    states = transfer.simulate(*run, None, hook) if carriers.turning.any() else None
-    count = len(transfer.places_at_rest())
-    carried = carriers.observe_adjoint(states, timeline, position_bar, np.zeros_like(position_bar), count)
-    carried = [*carried]
-    for instrument, own in zip(predictor.instruments, reading_bars, strict=True):
-        for k, part in enumerate(instrument.observe_adjoint(timeline, own, count)):
-            if part is not None and k < len(carried):
-                carried[k] = carried[k] + part
-            elif part is not None:
-                carried.append(part)
-    bars = transfer.adjoint(*run, tuple(carried), hook)
+    bars, _, hook = field_slopes(predictor, belief, timeline, start, position_bar, reading_bars)
     slopes = []
     parameters = [belief[key] for key in keys]
     changes = predictor.changes(belief, [(belief, p) for p in parameters], timeline, start)
@@ -95,6 +82,39 @@ def _through_simulation(
             total += float(np.vdot(own, instrument.direct_slope(belief, parameter, timeline)))
         slopes.append(total)
     return slopes
+
+
+def field_slopes(
+    predictor: Predictor,
+    belief: Belief,
+    timeline: Timeline,
+    start: Start | None,
+    position_bar: np.ndarray,
+    reading_bars: Sequence[np.ndarray] = (),
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], UserForces | None]:
+    """Gradient of a loss by every field of the core, these fields, and the hook of effects in Python.
+
+    position_bar: derivative of the loss by the markers' positions in the simulation, (T, M, 3); reading_bars:
+    by what each instrument reads, of a loss that has them.
+    """
+    transfer, carriers = predictor.transfer, predictor.carriers
+    model = predictor.model_of(belief)
+    fields = predictor.inputs(belief, timeline, start)
+    hook = predictor._hook(belief, fields)
+    transfer.share(model, predictor.workers)
+    run = (model, fields, predictor.schedule(timeline))
+    # A marker that turns needs the motion itself: the derivative of its rotation depends on it.
+    states = transfer.simulate(*run, None, hook) if carriers.turning.any() else None
+    count = len(transfer.places_at_rest())
+    carried = carriers.observe_adjoint(states, timeline, position_bar, np.zeros_like(position_bar), count)
+    carried = [*carried]
+    for instrument, own in zip(predictor.instruments, reading_bars, strict=bool(reading_bars)):
+        for k, part in enumerate(instrument.observe_adjoint(timeline, own, count)):
+            if part is not None and k < len(carried):
+                carried[k] = carried[k] + part
+            elif part is not None:
+                carried.append(part)
+    return transfer.adjoint(*run, tuple(carried), hook), fields, hook
 
 
 def _longer(bar: np.ndarray, frames: int) -> np.ndarray:

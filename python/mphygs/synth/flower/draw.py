@@ -42,13 +42,15 @@ class Painter:
         self._coarse = Mottling.of(generator, (0.012, 0.006))
         self._fine = Mottling.of(generator, (0.0030, 0.0021))
 
-    def draw(self, camera: Camera, vertices: np.ndarray) -> Drawing:
-        """The picture of the flower with its vertices at (V, 3) [m]."""
-        seen = hits(camera, vertices, self.faces, samples=SAMPLES)
-        texture = seen.of_corners(self._texture, self.faces)
-        normal = seen.of_corners(vertex_normals(vertices, self.faces), self.faces)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        part = self.part[seen.face]
+    def at_vertices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The vertices at rest (V, 3) [m], their colours as lit there (V, 3), 0 to 1, and parts (V,)."""
+        part = np.zeros(len(self.rest), int)
+        part[self.faces] = self.part[:, None]
+        normal = vertex_normals(self.rest, self.faces)
+        return self.rest, self._colour(part, self._texture, normal), part
+
+    def _colour(self, part: np.ndarray, texture: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """(N, 3) colours as lit of points by their parts (N,), texture (N, 6) and normals (N, 3)."""
         colour = np.zeros((len(part), 3))
         for number, paint in enumerate(self._paints):
             own = np.flatnonzero(part == number)
@@ -57,6 +59,15 @@ class Painter:
                 colour[own] = painted(paint, along, across, blade, texture[own, 3:], self._coarse, self._fine)
         # Wrapped round the object: no side of it is black.
         shade = AMBIENT + (1.0 - AMBIENT) * (normal @ LIGHT)
-        values = np.column_stack([colour * shade[:, None], np.ones(len(part))])
+        return colour * shade[:, None]
+
+    def draw(self, camera: Camera, vertices: np.ndarray) -> Drawing:
+        """The picture of the flower with its vertices at (V, 3) [m]."""
+        seen = hits(camera, vertices, self.faces, samples=SAMPLES)
+        texture = seen.of_corners(self._texture, self.faces)
+        normal = seen.of_corners(vertex_normals(vertices, self.faces), self.faces)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        part = self.part[seen.face]
+        values = np.column_stack([self._colour(part, texture, normal), np.ones(len(part))])
         picture = averaged(values, seen, SAMPLES)
         return Drawing(picture[..., :3], picture[..., 3], seen)

@@ -1,0 +1,376 @@
+"""Baselines: each fits what its own model can make, resumes to the bit, and leaves a run that others read."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from bar_capture import bar_capture
+from command_example import SIGMA, SPACING, answer, call, make_capture
+from mphygs import predict, view
+from mphygs.baselines import field, graph, neural, springs, training
+from mphygs.baselines.anchors import Anchors, holds_of
+from mphygs.baselines.graph_network import edges_of
+from mphygs.baselines.residual_network import NAMES, SHAPES, starting_weights
+from mphygs.baselines.spring_system import Course, SpringRun, Springs
+from mphygs.capture.format import load_capture, save_capture
+from mphygs.compare import __main__ as compare
+from mphygs.diagnose import __main__ as diagnose
+from mphygs.extend import __main__ as extend
+from mphygs.fit import __main__ as fit
+from mphygs.fit.experiment import Experiment
+from mphygs.fit.run import TRAINED, load_run
+from mphygs.fit.start import starting_belief
+from mphygs.report import __main__ as report
+from mphygs.simulate.errors import SimulationError
+from mphygs.simulate.prediction import Predictor, Settings
+from pictured_example import pictured_flower, stages_of_truth
+
+OPTIONS = ("--spacing", SPACING, "--workers", 1)
+Make = Callable[..., Predictor]
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_capture(tmp_path_factory.mktemp("capture"))
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few anchors, nodes and iterations."""
+    monkeypatch.setattr(springs, "ANCHORS", 24)
+    monkeypatch.setattr(springs, "STAGES", 3)
+    monkeypatch.setattr(neural, "STAGES", 3)
+    monkeypatch.setattr(neural, "ITERATIONS", 2)
+    monkeypatch.setattr(field, "STAGES", 3)
+    monkeypatch.setattr(field, "ITERATIONS", 2)
+    monkeypatch.setattr(graph, "STAGES", 3)
+    monkeypatch.setattr(graph, "ITERATIONS", 8)
+
+
+def remade(path: Path, out: Path, make: Make, change: Callable[[object], object] = lambda b: b) -> Path:
+    """The capture with the markers that another model moves, noise added."""
+    capture = load_capture(path)
+    belief = change(starting_belief(capture))
+    noise = np.random.default_rng(5)
+    recordings = []
+    for recording in capture.sequences:
+        position = make(capture, recording, Settings(SPACING, workers=1)).predict(belief).position
+        position = position + SIGMA * noise.standard_normal(position.shape)
+        recordings.append(replace(recording, markers=replace(recording.markers, position=position)))
+    save_capture(replace(capture, sequences=tuple(recordings)), out)
+    return out
+
+
+def spring_values(path: Path, power: float) -> dict[str, np.ndarray]:
+    """Numbers of springs, stiffer towards the tip."""
+    capture = load_capture(path)
+    belief = starting_belief(capture)
+    body = Predictor(capture, capture.sequences[0], Settings(SPACING, workers=1)).body
+    anchors = Anchors.of(body, 24)
+    usual = springs._usual(belief, capture, Springs.of(anchors.rest))
+    along = anchors.rest[:, 0] / anchors.rest[:, 0].max()
+    return {
+        "anchors": anchors.rest, "held": (~anchors.free).astype(float), "k": usual + power + 0.5 * along,
+        "softness": np.array([0.2]), "damping": np.array([np.log(0.3)]),
+    }  # fmt: skip
+
+
+def test_anchors_carry_uniform_strain_as_it_is() -> None:
+    body = Predictor(bar_capture(), bar_capture().sequences[0], Settings(0.008, workers=1)).body
+    anchors = Anchors.of(body, 60)
+    assert 55 <= len(anchors.rest) <= 64 and (~anchors.free).sum() >= 4
+    again = holds_of(anchors.rest, (~anchors.free).astype(float), body.boxes)
+    assert np.array_equal(again, anchors.hold)
+    points = np.random.default_rng(0).uniform([0.005, 0.002, 0.002], [0.055, 0.018, 0.018], (40, 3))
+    strain = np.array([[0.1, 0.02, 0.0], [-0.05, 0.2, 0.03], [0.0, 0.0, -0.1]])
+    rows = anchors.weights(points)
+    assert rows.sum(1) == pytest.approx(np.ones((40, 1)))
+    found = rows @ (anchors.rest @ strain.T + [0.01, 0.0, 0.02])
+    moved = np.abs(points @ strain.T).max()
+    assert found == pytest.approx(points @ strain.T + [0.01, 0.0, 0.02], abs=0.03 * moved)
+
+
+def test_gradient_of_springs_is_that_of_differences() -> None:
+    generator = np.random.default_rng(0)
+    rest = np.stack(np.meshgrid(np.arange(4), np.arange(2), np.arange(2), indexing="ij"), -1).reshape(-1, 3)
+    rest = 0.01 * rest + 1e-4 * generator.standard_normal(rest.shape)
+    system, held = Springs.of(rest), rest[:, 0] < 0.005
+    weight = generator.standard_normal((4, *rest.shape))
+    course = Course(
+        np.array([20, 10, 15]), np.full(3, 2e-3), held, np.repeat(rest[held][None], 46, 0),
+        np.tile([0.0, 0.0, -9.81], (3, len(rest), 1)),
+    )  # fmt: skip
+
+    def run(numbers: np.ndarray) -> SpringRun:
+        stiffness = system.stiffness(numbers[2:], numbers[0])
+        return SpringRun.of(system, stiffness, numbers[1], course, rest, np.zeros_like(rest))
+
+    def loss(numbers: np.ndarray) -> float:
+        found = run(numbers)
+        return float((weight * found.place[found.frames]).sum())
+
+    at = np.r_[0.3, 0.2, 1.0 + 0.1 * generator.standard_normal(len(rest))]
+    by_stiffness, by_damping = run(at).gradient(weight)
+    by_k, by_softness = system.stiffness_slopes(at[2:], at[0], by_stiffness)
+    steps = 1e-6 * np.eye(len(at))
+    differences = [(loss(at + step) - loss(at - step)) / 2e-6 for step in steps]
+    assert np.r_[by_softness, by_damping, by_k] == pytest.approx(np.array(differences), rel=1e-4, abs=1e-7)
+
+
+def test_springs_are_stable_to_the_step_that_they_say() -> None:
+    rest = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3) * 0.01
+    system = Springs.of(rest)
+    stiffness = system.stiffness(np.full(27, 1.5), 0.0)
+    dt = system.longest_step(stiffness, 0.1)
+    held = np.arange(27) < 9
+    start = rest + 1e-4 * np.random.default_rng(0).standard_normal(rest.shape) * ~held[:, None]
+    course = Course(
+        np.array([4000]), np.array([dt]), held, np.repeat(rest[held][None], 4001, 0), np.zeros((1, 27, 3))
+    )
+    run = SpringRun.of(system, stiffness, 0.1, course, start, np.zeros_like(rest))
+    assert np.abs(run.place[-1] - rest).max() < 1e-3
+    coarse = replace(
+        course, steps=np.array([2000] * 2), dt=np.full(2, 4.0 * dt), pull=np.zeros((2, 27, 3))
+    )
+    with pytest.raises(SimulationError, match="diverges"):
+        SpringRun.of(system, stiffness, 0.1, coarse, start, np.zeros_like(rest))
+
+
+def test_springs_fit_what_springs_make(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(springs, "ANCHORS", 24)
+    monkeypatch.setattr(springs, "STAGES", 7)
+    values = spring_values(capture, 0.4)
+    path = remade(capture, tmp_path / "made", lambda *a, **k: springs.SpringPredictor(values, *a, **k))
+    found = answer(fit.main, path, "--baseline", "springs", "--out", tmp_path / "run", *OPTIONS)
+    assert found["baseline"] == "springs" and found["parameters"] == {}
+    errors = found["sequences"]
+    assert errors["swing"]["fit"]["rms_over_sigma"] < 1.15
+    assert errors["swing"]["predict"]["rms_over_sigma"] < 1.6
+    assert errors["other"]["predict"]["rms_over_sigma"] < 1.6
+
+
+def test_a_residual_network_fits_what_one_makes(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(neural, "STAGES", 5)
+    weights = starting_weights(7)
+    weights["weight2"] = 0.15 * np.random.default_rng(8).standard_normal(SHAPES[NAMES.index("weight2")])
+    first = load_capture(capture)
+    experiment = Experiment.of(first, Settings(SPACING, workers=1))
+    belief = starting_belief(first).with_parameter("bar.youngs_modulus", value=2.5e5)
+    weights["scales"] = neural.scales_of(experiment, belief, SPACING).numbers
+    path = remade(
+        capture, tmp_path / "made", lambda *a, **k: neural.NeuralPredictor(weights, *a, **k),
+        lambda b: b.with_parameter("bar.youngs_modulus", value=2.5e5),
+    )  # fmt: skip
+    elastic = answer(fit.main, path, "--out", tmp_path / "elastic", *OPTIONS)["sequences"]
+    found = answer(fit.main, path, "--baseline", "neural", "--out", tmp_path / "run", *OPTIONS)["sequences"]
+    before, after = (errors["swing"]["fit"]["rms_over_sigma"] for errors in (elastic, found))
+    assert before > 1.5 and after < 1.1
+    for name in ("swing", "other"):
+        unseen = [errors[name]["predict"]["rms_over_sigma"] for errors in (elastic, found)]
+        assert unseen[1] < 0.7 * unseen[0]
+
+
+def test_a_network_that_says_nothing_is_the_elastic_model(capture: Path) -> None:
+    first = load_capture(capture)
+    belief = starting_belief(first).with_parameter("bar.youngs_modulus", value=2.5e5)
+    scales = neural.scales_of(Experiment.of(first, Settings(SPACING, workers=1)), belief, SPACING)
+    values = starting_weights(0) | {"scales": scales.numbers}
+    settings = Settings(SPACING, workers=1, dtype="float64")
+    for recording in first.sequences:
+        alone = Predictor(first, recording, settings).predict(belief).position
+        looped = neural.NeuralPredictor(values, first, recording, settings).predict(belief).position
+        assert looped == pytest.approx(alone, abs=1e-9)
+
+
+def test_a_graph_network_learns_the_motion_it_is_shown(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph, "ITERATIONS", 15)
+    found = answer(fit.main, capture, "--baseline", "graph", "--out", tmp_path / "run", *OPTIONS)["sequences"]
+    markers = load_capture(capture).sequence("swing").markers
+    moved = np.sqrt(np.nanmean(np.sum((markers.position[:16] - markers.at) ** 2, axis=2)))
+    assert found["swing"]["fit"]["rms"] < 0.5 * moved
+    assert np.isfinite(found["other"]["predict"]["rms"])
+
+
+def stiff_tip(path: Path) -> dict[str, np.ndarray]:
+    """Numbers of a field that rises along the bar, by a factor of ten or so."""
+    values = field.starting_weights(0) | {"box": np.asarray(load_capture(path).bounds)}
+    along = np.linspace(-1.0, 1.0, field.RESOLUTION)
+    values["planes"][:] = 0.0
+    values["planes"][0, 0] = along[None]
+    values["weight0"][:] = values["bias0"][:] = 0.0
+    values["weight0"][0, 0], values["bias0"][0], values["weight1"][0, 0] = 1.2, 1.3, 1.0
+    return values
+
+
+def test_a_field_fits_what_one_makes(capture: Path, tmp_path: Path) -> None:
+    values = stiff_tip(capture)
+    path = remade(capture, tmp_path / "made", lambda *a, **k: field.FieldPredictor(values, *a, **k))
+    alone = answer(fit.main, path, "--out", tmp_path / "one", *OPTIONS)["sequences"]
+    found = answer(fit.main, path, "--baseline", "field", "--out", tmp_path / "run", *OPTIONS)["sequences"]
+    assert found["swing"]["fit"]["rms_over_sigma"] < min(1.2, 0.9 * alone["swing"]["fit"]["rms_over_sigma"])
+    assert found["other"]["predict"]["rms_over_sigma"] < 1.6
+
+
+def test_the_slope_of_a_field_is_that_of_differences(capture: Path) -> None:
+    first = load_capture(capture)
+    belief, values = starting_belief(first), stiff_tip(capture)
+    settings = Settings(SPACING, workers=1, dtype="float64")
+    mover = field.FieldPredictor(values, first, first.sequences[0], settings)
+    substep = 0.5 * mover.stable_substep(belief)
+    mover.stable_substep = lambda _: substep  # the same steps for all differences
+    weight = np.random.default_rng(0).standard_normal((12, len(first.sequences[0].markers.at), 3))
+    by_field = field._slope(mover, belief, 12, weight)
+    direction = np.random.default_rng(1).standard_normal(by_field.shape)
+    ends = []
+    factor = mover.factor
+    for step in (1e-4, -1e-4):
+        mover.factor = factor * np.exp(step * direction).reshape(factor.shape)
+        mover.forget()
+        ends.append(float((weight * mover.predict(belief, last=12).position).sum()))
+    assert by_field @ direction == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3)
+
+
+def test_a_graph_joins_each_node_to_its_nearest() -> None:
+    rest = np.stack([np.arange(20.0), np.zeros(20), np.zeros(20)], axis=1)
+    pairs = {tuple(pair) for pair in edges_of(rest).T.tolist()}
+    assert all((a, a + 1) in pairs and (a + 1, a) in pairs for a in range(19))
+    assert not any(a == b for a, b in pairs) and (0, 19) not in pairs
+
+
+@pytest.mark.parametrize("name", ["springs", "neural", "graph", "field"])
+def test_is_stopped_and_resumed_to_the_bit(
+    capture: Path, tmp_path: Path, name: str, quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = answer(fit.main, capture, "--baseline", name, "--out", tmp_path / "whole", "--seed", 3, *OPTIONS)
+    write, count = training._write, 0
+
+    def stop(path: Path, *arguments: object, **options: object) -> None:
+        nonlocal count
+        write(path, *arguments, **options)
+        count += 1
+        if count == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, "_write", stop)
+    out = tmp_path / "stopped"
+    code, _, err = call(fit.main, capture, "--baseline", name, "--out", out, "--seed", 3, *OPTIONS)
+    assert code != 0 and "--resume" in err
+    code, _, err = call(compare.main, out, "--workers", 1)
+    assert code == 2 and "is not complete" in err.splitlines()[-1]
+    monkeypatch.setattr(training, "_write", write)
+    resumed = answer(fit.main, "--out", out, "--resume", "--workers", 1)
+    assert resumed["sequences"] == whole["sequences"]
+    kept = [load_file(folder / TRAINED) for folder in (tmp_path / "whole", out)]
+    names = [key for key in kept[0] if key.startswith("values.")]
+    assert names and all(np.array_equal(kept[0][key], kept[1][key]) for key in names)
+    assert [len(r.costs) for r in load_run(out).history] == [
+        len(r.costs) for r in load_run(tmp_path / "whole").history
+    ]
+
+
+@pytest.fixture(scope="module")
+def sprung(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, object]:
+    """A quick run of springs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(springs, "ANCHORS", 24)
+        patch.setattr(springs, "STAGES", 2)
+        out = tmp_path_factory.mktemp("runs") / "springs"
+        return answer(fit.main, capture, "--baseline", "springs", "--out", out, *OPTIONS)
+
+
+def test_others_read_the_run_of_a_baseline(sprung: Mapping, tmp_path: Path) -> None:
+    run = Path(sprung["run"])
+    compared = answer(compare.main, run, "--workers", 1)["sequences"]
+    predicted = answer(predict.main, run, "--out", tmp_path / "p", "--workers", 1)["sequences"]
+    for name, where in (("swing", "fit"), ("swing", "predict"), ("other", "predict")):
+        told = sprung["sequences"][name][where]
+        assert compared[name][where] == told and predicted[name][where] == told
+    with np.load(tmp_path / "p" / "other.npz") as arrays:
+        assert np.isfinite(arrays["surface"]).all() and len(arrays["surface"][0]) > 100
+    assert Path(answer(report.main, run, "--workers", 1)["report"]).is_file()
+
+
+@pytest.mark.parametrize("command", [diagnose, extend, view])
+def test_what_asks_about_physics_refuses_a_baseline(sprung: Mapping, command: object) -> None:
+    more = ["viscosity"] if command is extend else []
+    code, out, err = call(command.main, sprung["run"], *more)
+    assert (code, out) == (2, "")
+    assert "is the baseline 'springs'; expected a fit of the model" in err.splitlines()[-1]
+
+
+def test_damaged_numbers_are_told_in_one_line(sprung: Mapping, tmp_path: Path) -> None:
+    run = shutil.copytree(sprung["run"], tmp_path / "run")
+    (run / TRAINED).write_bytes(b"no tensors")
+    code, _, err = call(compare.main, run)
+    assert code == 2 and f"{TRAINED}: cannot be read" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--baseline", "springs", "--effects", "viscosity"], "--baseline springs: not with --effects"),
+        (["--baseline", "neural", "--transfer", "mls"], "--baseline neural: not with --transfer"),
+        (["--baseline", "graph", "--feedback", "1"], "--baseline graph: not with --feedback"),
+        (["--baseline", "prior"], "--baseline prior: "),
+    ],
+)
+def test_what_does_not_go_together_is_refused(
+    capture: Path, tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    code, out, err = call(fit.main, capture, "--out", tmp_path / "run", *arguments)
+    assert (code, out) == (2, "") and words in err.splitlines()[-1]
+
+
+def test_one_material_is_fitted_to_markers_as_several_are(capture: Path, tmp_path: Path) -> None:
+    found = answer(fit.main, capture, "--baseline", "homogeneous", "--out", tmp_path / "run", *OPTIONS)
+    assert "object.youngs_modulus" in found["parameters"] and found["baseline"] == "homogeneous"
+    again = answer(compare.main, tmp_path / "run", "--workers", 1)["sequences"]
+    assert again["swing"]["fit"] == found["sequences"]["swing"]["fit"]
+
+
+@pytest.fixture(scope="module")
+def flower(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A flower in pictures, its stages in a folder of their own in it."""
+    folder = tmp_path_factory.mktemp("flower")
+    stages_of_truth(pictured_flower(folder / "daisy"), folder / "stages")
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["springs", "neural", "graph", "field"])
+def test_of_pictures_a_baseline_follows_the_tracks(
+    name: str, flower: Path, tmp_path: Path, quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(neural, "STAGES", 1)
+    options = ("--spacing", 0.009, "--workers", 1, "--prestress", "paper", "--stages", flower / "stages")
+    out = ("--out", tmp_path / "run")
+    found = answer(fit.main, flower / "daisy", "--baseline", name, *out, *options)["sequences"]
+    assert {"psnr", "iou", "chamfer_px", "rms"} <= set(found["frog"]["fit"])
+    again = answer(compare.main, tmp_path / "run", "--workers", 1)["sequences"]
+    assert again["turned"]["predict"]["iou"] == found["turned"]["predict"]["iou"] > 0.0
+
+
+@pytest.mark.slow
+def test_materials_by_looks_are_near_those_of_the_kind(flower: Path, tmp_path: Path) -> None:
+    options = ("--spacing", 0.009, "--workers", 1, "--prestress", "paper", "--stages", flower / "stages")
+    found = answer(fit.main, flower / "daisy", "--baseline", "prior", "--out", tmp_path / "run", *options)
+    assert found["parameters"] == {} and found["sequences"]["turned"]["predict"]["iou"] > 0.3
+    run = load_run(tmp_path / "run")
+    truth = list(json.loads((flower / "daisy" / "answer.json").read_text())["parts"].values())
+    said = [[run.belief[f"{p}.{k}"].value for k in ("youngs_modulus", "density")] for p in run.belief.parts]
+    away = np.log10(np.array(said) / [[t["E"], t["rho"]] for t in truth])
+    assert np.abs(away).max() < 0.6 and np.sqrt(np.mean(away**2)) < 0.25
