@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mphygs.capture.actuators import Actuator
 from mphygs.capture.holds import Hold, Load
 from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
@@ -30,7 +31,7 @@ class Known:
 class Sequence:
     """One recorded motion. Frame k is at t = k / fps [s]; ranges [a, b) exclude b.
 
-    fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
+    loads: constant forces; actuators: loads whose numbers are given frame by frame; fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
     rest until this frame; views: the folder of the measured video, views_scale metres per unit of its
     cameras' places; first_frame: of the files' frames, the one that is frame 0, None where it is the first
     and they are no longer; turn: (3, 3) rotation from the frame that the sequence is told in to the one that
@@ -53,6 +54,7 @@ class Sequence:
     turn: np.ndarray | None = None
     start: str | None = None
     sensors: tuple[Sensor, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,6 +172,26 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
         reverse_uniforms(time, dt);
         reverse_observer(n, frame, dt);
+        reverse_actuation(n, frame, dt);
+    }
+
+    void reverse_actuation(int n, int frame, double dt) {
+        const Actuation& a = model_.geometry_.actuation;
+        if (a.empty() || channel_bar_.empty()) {
+            return;
+        }
+        const TargetBasis basis = run_.target_basis(n, frame, dt);
+        std::vector<double> points, channels, force_bar, points_bar, channels_bar;
+        a.channels_at(&run_.inputs_.primal->channel, index(frame), basis.value, channels);
+        a.gather([&](std::size_t node, std::size_t c) { return static_cast<double>(run_.u_[run_.at(0, c, node)]); }, false, points);
+        const auto pose = [&](std::size_t h, std::size_t i) { return run_.pose(0, h, n, i); };
+        a.place_points(&pose, points);
+        a.gather([&](std::size_t node, std::size_t c) { return static_cast<double>(fbar_[run_.at(0, c, node)]); }, true, force_bar);
+        a.forces_bar(points, channels, force_bar, points_bar, channels_bar);
+        a.channels_bar(channels_bar, index(frame), basis.value, channel_bar_);
+        a.scatter(points_bar, false, [&](std::size_t node, std::size_t c, double bar) { ubar_[run_.at(0, c, node)] += static_cast<T>(bar); });
+        const std::size_t poses = static_cast<std::size_t>(schedule_.total_steps()) + 1;
+        a.pose_bar(points_bar, [&](std::size_t h, std::size_t i, double bar) { pose_bar_[(h * poses + index(n)) * 12 + i] += bar; });
     }
 
     /// Of linear rows the adjoint is the transpose: no value is needed.
@@ -333,11 +353,12 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         out.node_force = node_force_bar_;
         out.pose = narrow(pose_bar_);
         out.target = narrow(target_bar_);
+        out.channel = narrow(channel_bar_);
         return out;
     }
 
     using Forces::add_uniform_bar, Forces::compliance_bar_, Forces::chunk_bar_, Forces::chunk_uniform_bar_, Forces::deformation0_bar_;
-    using Forces::fbar_, Forces::gravity_bar_, Forces::index, Forces::inverse_mass_bar_, Forces::lambda_bar_, Forces::mass_bar_;
+    using Forces::channel_bar_, Forces::fbar_, Forces::gravity_bar_, Forces::index, Forces::inverse_mass_bar_, Forces::lambda_bar_, Forces::mass_bar_;
     using Forces::model_, Forces::mu_bar_, Forces::node_force_bar_, Forces::parameter_bar_, Forces::place_effect_bar_;
     using Forces::pose_bar_, Forces::reverse_body, Forces::reverse_chunk, Forces::reverse_hook, Forces::reverse_places;
     using Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;

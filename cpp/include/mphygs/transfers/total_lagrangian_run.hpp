@@ -63,6 +63,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         place_forces(time);
         hook_forces(time, dt);
         known_forces(frame);
+        actuate(index(frame), target_basis(n, frame, dt).value, n);
         if (!pulled && ask(n, frame, dt)) {
             spread_pulls(dt);
         }
@@ -85,6 +86,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         reduce_forces();
         place_forces(0.0);
         hook_forces(0.0, dt);
+        actuate(0, TargetBasis(0, 1, dt).value, -1);
         std::vector<T> before = v_;
         update_nodes(0.0, 1.0);
         for (std::size_t i = 0; i < v_.size(); ++i) {
@@ -262,6 +264,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         return r;
     }
 
+    static std::size_t index(int n) { return static_cast<std::size_t>(n); }
+
     /// Where a substep stands in the targets of its output interval.
     TargetBasis target_basis(int n, int frame, double dt) const {
         const std::size_t f = static_cast<std::size_t>(frame);
@@ -314,6 +318,37 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
             T* to = &v_[at(l, 0, 0)];
             for (std::size_t i = 0; i < 3 * stride_; ++i) {
                 to[i] += pulled_[l][i];
+            }
+        }
+    }
+
+    /// Adds the forces of tendons, pressures and known loads in an output interval. powers: of the share; step: number of
+    /// the substep, for the holds' poses, -1: holds are at rest.
+    void actuate(std::size_t interval, const double (&powers)[4], int step) {
+        const Actuation& a = model_.geometry_.actuation;
+        if (a.empty() || inputs_.primal->channel.empty()) {
+            return;
+        }
+        const auto read = [&](int l, const std::vector<T>& channel) {
+            a.channels_at(&channel, interval, powers, channels_[l]);
+            a.gather([&](std::size_t n, std::size_t c) { return static_cast<double>(u_[at(l, c, n)]); }, false, points_[l]);
+        };
+        const auto push = [&](int l) {
+            a.scatter(pushed_, true, [&](std::size_t n, std::size_t c, double force) { f_[at(l, c, n)] += static_cast<T>(force); });
+        };
+        read(0, inputs_.primal->channel);
+        const auto posed = [&](std::size_t h, std::size_t i) { return pose(0, h, step, i); };
+        a.place_points(step < 0 ? nullptr : &posed, points_[0]);
+        a.forces(points_[0], channels_[0], pushed_);
+        push(0);
+        if constexpr (lanes > 1) {
+            for (int l = 1; l < lanes && inputs_.direction[l - 1]; ++l) {
+                read(l, inputs_.direction[l - 1]->channel);
+                if (step >= 0) {
+                    a.move_points([&](std::size_t h, std::size_t i) { return pose(l, h, step, i); }, points_[l]);
+                }
+                a.forces_change(points_[0], channels_[0], points_[l], channels_[l], pushed_);
+                push(l);
             }
         }
     }
@@ -449,6 +484,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     int aimed_ = -1;                           // output interval whose targets are in aims_
     bool pulling_ = false;                     // whether any channel pulls in it
     std::vector<T> aims_[lanes], asked_[lanes], pulled_[lanes], blend_;  // see ObserverRows
+    std::vector<double> channels_[lanes], points_[lanes], pushed_;      // see Actuation
     std::vector<T> f_, mass_, inverse_mass_;  // lane, component, node
     Vec3<U> gravity_;
     U compliance_{};
