@@ -75,7 +75,7 @@ def test_a_pressure_on_all_sides_changes_the_volume_by_p_over_k(transfer: str) -
     bulk = E / (3.0 * (1.0 - 2.0 * nu))
     # The mean over the whole body is exact in both; in MLS-MPM its surface has less of it, and the inside more.
     assert sum(strain) == pytest.approx(-pressure / bulk, rel=0.03 if transfer == "total-lagrangian" else 0.08)
-    assert strain == pytest.approx([-pressure / bulk / 3.0] * 3, rel=0.1)
+    assert strain == pytest.approx([-pressure / bulk / 3.0] * 3, rel=0.15)
     # No resultant: the body does not drift.
     assert np.abs(moved.mean(0)).max() < 1e-3 * pressure / E * LENGTH
 
