@@ -1,4 +1,4 @@
-"""A soft finger on a tendon: its stiffness, and how much of the tension that the motor states arrives, and when.
+"""A soft finger on a tendon: its stiffness, and how much of the stated tension arrives, and when.
 
 The truth: 120 kPa, and friction that leaves 70 % of the tension, 20 ms late.
 """

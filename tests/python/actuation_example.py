@@ -1,4 +1,4 @@
-"""A tendon to a point in space and a force that changes with time, on a few carriers of any discretisation."""
+"""A tendon to a point in space and a force that changes with time, on carriers of any discretisation."""
 
 from __future__ import annotations
 

@@ -83,24 +83,34 @@ def test_a_course_is_smooth_between_frames_and_holds_outside() -> None:
     assert np.allclose(force.course(outside, fps), force.values[[0, -1]], atol=1e-14)
     assert not force.course(outside, fps, 1).any()
     alone = Tendon(np.array([2.0]), "t", path=np.zeros((2, 3)))
-    assert np.array_equal(alone.course(times, fps), np.full(60, 2.0)) and not alone.course(times, fps, 1).any()
+    assert (
+        np.array_equal(alone.course(times, fps), np.full(60, 2.0)) and not alone.course(times, fps, 1).any()
+    )
 
 
 @pytest.mark.parametrize(
     ("kind", "change", "message"),
     [
         ("force", {"pressure": "pressure.npz"}, "loads[0]: has force and pressure; expected exactly one of"),
-        ("force", {"patch": "low"}, 'loads[0].patch: unknown key; expected one of box, force, name'),
+        ("force", {"patch": "low"}, "loads[0].patch: unknown key; expected one of box, force, name"),
         ("pressure", {"pressure": None}, "loads[0].pressure: is null; expected a text"),
         ("pressure", {"patch": "leaf"}, 'loads "air".patch: the object has no part "leaf"; expected one of'),
         ("pressure", {"patch": {}}, 'loads[0].patch: is empty; expected a part\'s name, or "part", "box"'),
-        ("pressure", {"patch": {"box": [[5, 5, 5], [6, 6, 6]]}}, 'no surface of the object lies in its box'),
+        ("pressure", {"patch": {"box": [[5, 5, 5], [6, 6, 6]]}}, "no surface of the object lies in its box"),
         ("pressure", {"unknown": ["gian"]}, 'loads[0].unknown[0]: is "gian"; expected one of gain, delay'),
-        ("pressure", {"name": "high"}, 'loads "high".name: is the name of a part; expected a name of its own'),
+        (
+            "pressure",
+            {"name": "high"},
+            'loads "high".name: is the name of a part; expected a name of its own',
+        ),
         ("tendon", {"tendon": [[0.01, 0, 0]], "anchor": None}, "loads[0].anchor: is null"),
         ("tendon", {"tendon": [[0.01, 0, 0], [0.01, 0, 0]]}, "points 0 and 1 are the same"),
         ("tendon", {"tendon": [[0.01, 0, 0], [0.5, 0, 0]]}, "tendon[1]: (0.5, 0, 0) lies outside the object"),
-        ("tendon", {"tension": "force.npz"}, 'force.npz: force: unknown array; expected an .npz with "tension"'),
+        (
+            "tendon",
+            {"tension": "force.npz"},
+            'force.npz: force: unknown array; expected an .npz with "tension"',
+        ),
         ("tendon", {"from": 12}, "loads[0].from: is 12; expected a frame of the sequence, 0 to 11"),
         ("tendon", {"until": 0}, 'loads[0].until: is 0; expected a frame after "from", 1 to 12'),
         ("tendon", {"tension": "no.npz"}, 'loads[0].tension: "no.npz" does not exist'),
@@ -126,7 +136,12 @@ def test_a_path_of_one_point_needs_an_anchor(tmp_path: Path) -> None:
     [
         ("tendon", "tension", np.arange(5.0), "tension: has 5 frames; expected 12, as the sequence"),
         ("force", "force", np.zeros(FRAMES), "force: has shape (12,); expected numbers of shape (T, 3)"),
-        ("pressure", "pressure", np.where(np.arange(FRAMES) == 7, np.nan, 1.0), "pressure: is NaN in frame 7"),
+        (
+            "pressure",
+            "pressure",
+            np.where(np.arange(FRAMES) == 7, np.nan, 1.0),
+            "pressure: is NaN in frame 7",
+        ),
         ("pressure", "pressure", np.full(FRAMES, np.inf), "pressure: is infinite at [0]"),
         ("pressure", "pressure", np.full(FRAMES, 1e9), "pressure: is above 1e+08 Pa in frame 0"),
         ("tendon", "tension", np.linspace(1, -1, FRAMES), "is -0.0909091 N in frame 6; expected 0 or more"),

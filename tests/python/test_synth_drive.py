@@ -15,7 +15,6 @@ from mphygs.fit.__main__ import main as fit
 from mphygs.synth.__main__ import main as synth
 from mphygs.synth.drive import Drive
 
-
 QUICK = ["--frames", "24", "--markers", "16", "--spacing-share", "1.6", "--sigma", "1e-4"]
 
 
@@ -40,8 +39,8 @@ def test_the_two_simulators_agree_on_a_pressure(tmp_path: Path) -> None:
     tracks = []
     for simulator in ("total-lagrangian", "finite-element"):
         out = tmp_path / simulator
-        answer(synth, "bar", "--drive", "pressure", "--simulator", simulator, "--dropout", "0", "--sigma", "1e-9",
-               "--out", out, *QUICK[:-2])  # fmt: skip
+        clean = [*QUICK[:-2], "--sigma", "1e-9", "--dropout", "0"]
+        answer(synth, "bar", "--drive", "pressure", "--simulator", simulator, "--out", out, *clean)
         sequence = load_capture(out).sequences[0]
         assert isinstance(sequence.actuators[0], Pressure) and sequence.actuators[0].unknown == ()
         tracks.append(sequence.markers.position)
@@ -75,8 +74,9 @@ def test_a_drive_is_what_it_says() -> None:
 @pytest.mark.slow
 def test_a_fit_finds_the_stiffness_and_what_of_the_tension_arrives(tmp_path: Path) -> None:
     """From finite elements that share nothing with the model."""
-    made = answer(synth, "bar", "--drive", "tendon:gain=0.7:delay=0.02", "--simulator", "finite-element",
-                  "--out", tmp_path / "made", "--frames", "60", "--markers", "40", "--spacing-share", "1.2")  # fmt: skip
+    options = ["--simulator", "finite-element", "--frames", "60", "--markers", "40", "--spacing-share", "1.2"]
+    drive = "tendon:gain=0.7:delay=0.02"
+    made = answer(synth, "bar", "--drive", drive, "--out", tmp_path / "made", *options)
     found = answer(fit, tmp_path / "made", "--spacing", "0.009", "--workers", "1", "--out", tmp_path / "run")
     numbers = found["parameters"]
     assert numbers["tendon.gain"]["value"] == pytest.approx(0.7, rel=0.05)

@@ -11,7 +11,7 @@
 // Channels are cubic polynomials in the share s of each output interval. All of this is computed in double.
 #pragma once
 
-#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -37,82 +37,9 @@ struct Actuation {
     /// numbers: of Fields::channel for so many intervals. Throws std::invalid_argument.
     void check_channels(std::size_t numbers, std::size_t intervals) const;
 
-    /// The carriers whose places matter, each once.
+    /// The carriers whose places matter, and those that get forces, each once.
     const std::vector<std::int32_t>& read_carriers() const { return read_; }
-
-    /// c (channels,) of a field (F, channels, 4) in an interval; powers: of the share. No field, or an empty one: zero.
-    template <class T>
-    void channels_at(const std::vector<T>* field, std::size_t interval, const double (&powers)[4], std::vector<double>& c) const {
-        c.assign(channels(), 0.0);
-        for (std::size_t i = 0; field && !field->empty() && i < channels(); ++i) {
-            for (std::size_t k = 0; k < 4; ++k) {
-                c[i] += powers[k] * static_cast<double>((*field)[(interval * channels() + i) * 4 + k]);
-            }
-        }
-    }
-    void channels_bar(const std::vector<double>& c_bar, std::size_t interval, const double (&powers)[4], std::vector<double>& field_bar) const {
-        for (std::size_t i = 0; i < channels(); ++i) {
-            for (std::size_t k = 0; k < 4; ++k) {
-                field_bar[(interval * channels() + i) * 4 + k] += powers[k] * c_bar[i];
-            }
-        }
-    }
-
-    /// to: (points, 3) sum_k w_k u_k. read(carrier, component); all: of points that only take forces, too.
-    template <class N, class F>
-    void gather(const F& read, bool all, std::vector<N>& to) const {
-        to.assign(3 * point_count(), N{});
-        each_row(all, [&](std::size_t p, std::int32_t carrier, double weight) {
-            for (std::size_t c = 0; c < 3; ++c) {
-                to[3 * p + c] += weight * read(static_cast<std::size_t>(carrier), c);
-            }
-        });
-    }
-    /// The transpose: add(carrier, component, number) for what stands at the points.
-    template <class N, class F>
-    void scatter(const std::vector<N>& from, bool all, const F& add) const {
-        each_row(all, [&](std::size_t p, std::int32_t carrier, double weight) {
-            for (std::size_t c = 0; c < 3; ++c) {
-                add(static_cast<std::size_t>(carrier), c, weight * from[3 * p + c]);
-            }
-        });
-    }
-    /// From displacements to places: X where the material carries a point or nothing does, R X + p on a hold.
-    /// pose(hold, i): number i of R by rows and p; nullptr: holds are at rest.
-    template <class F>
-    void place_points(const F* pose, std::vector<double>& x) const {
-        for (std::size_t p = 0; p < point_count(); ++p) {
-            if (hold[p] >= 0 && pose) {
-                carried(p, *pose, &x[3 * p]);
-                continue;
-            }
-            for (std::size_t c = 0; c < 3; ++c) {
-                x[3 * p + c] += place[3 * p + c];
-            }
-        }
-    }
-    /// The change of the same where poses change so.
-    template <class F>
-    void move_points(const F& pose, std::vector<double>& dx) const {
-        for (std::size_t p = 0; p < point_count(); ++p) {
-            if (hold[p] >= 0) {
-                carried(p, pose, &dx[3 * p]);
-            }
-        }
-    }
-    /// The transpose: add(hold, i, number).
-    template <class F>
-    void pose_bar(const std::vector<double>& x_bar, const F& add) const {
-        for (std::size_t p = 0; p < point_count(); ++p) {
-            for (std::size_t c = 0; c < 3 && hold[p] >= 0; ++c) {
-                const std::size_t h = static_cast<std::size_t>(hold[p]);
-                add(h, 9 + c, x_bar[3 * p + c]);
-                for (std::size_t k = 0; k < 3; ++k) {
-                    add(h, 3 * c + k, x_bar[3 * p + c] * place[3 * p + k]);
-                }
-            }
-        }
-    }
+    const std::vector<std::int32_t>& pushed_carriers() const { return pushed_; }
 
     /// f: (points, 3) [N] at places x (points, 3) [m] and channels c.
     void forces(const std::vector<double>& x, const std::vector<double>& c, std::vector<double>& f) const;
@@ -124,28 +51,44 @@ struct Actuation {
                     std::vector<double>& x_bar, std::vector<double>& c_bar) const;
 
   private:
-    template <class F>
-    void each_row(bool all, const F& f) const {
-        for (std::size_t p = 0; p < point_count(); ++p) {
-            const auto end = static_cast<std::size_t>(row_begin[p + 1]);
-            for (auto r = static_cast<std::size_t>(row_begin[p]); r < end && (all || follows_[p]); ++r) {
-                f(p, row_carrier[r], row_weight[r]);
-            }
-        }
-    }
-    template <class F>
-    void carried(std::size_t p, const F& pose, double* x) const {
-        const std::size_t h = static_cast<std::size_t>(hold[p]);
-        for (std::size_t c = 0; c < 3; ++c) {
-            x[c] = pose(h, 9 + c);
-            for (std::size_t k = 0; k < 3; ++k) {
-                x[c] += pose(h, 3 * c + k) * place[3 * p + k];
-            }
-        }
-    }
+    friend class ActuationStep;
+    std::vector<std::uint8_t> follows_;             // points whose places matter
+    std::vector<std::int32_t> read_, pushed_;
+    std::vector<std::int32_t> read_at_, pushed_at_;  // of each entry of the rows, which of these; -1: none
+};
 
-    std::vector<std::uint8_t> follows_;  // points whose places matter
-    std::vector<std::int32_t> read_;
+/// An actuation in one substep, between carriers and points. Transfers fill `seen`, `channels` and `poses`, or bars of
+/// `pushed`, call, and take what comes out.
+class ActuationStep {
+  public:
+    std::vector<double> seen;      // (read carriers, 3) displacement [m]
+    std::vector<double> pushed;    // (pushed carriers, 3) [N]
+    std::vector<double> channels;  // (channels,)
+    std::vector<double> poses;
+
+    explicit ActuationStep(const Actuation& loads) : seen(3 * loads.read_.size()), pushed(3 * loads.pushed_.size()), loads_(loads) {}
+
+    /// Channels of a field (F, channels, 4) in an interval; powers: of the share. No field, or an empty one: zero.
+    template <class T>
+    void channels_of(const std::vector<T>* field, std::size_t interval, const double (&powers)[4]);
+    /// Adds the bars of channels to those of the field.
+    void add_channels_bar(std::size_t interval, const double (&powers)[4], std::vector<double>& field_bar) const;
+
+    /// pushed of the values, kept for what follows. poses: (holds, 12) R by rows and p; empty: holds are at rest.
+    void value();
+    /// pushed of a direction, of which seen, channels and poses are the changes; poses may be empty.
+    void change();
+    /// seen, channels and poses of the bars of pushed, at the values.
+    void reverse();
+
+  private:
+    void gather();
+    void scatter(const std::vector<double>& at_points);
+    void carry(bool change);
+
+    const Actuation& loads_;
+    std::vector<double> x_, c_;            // of the values: places (points, 3), channels
+    std::vector<double> points_, force_;  // (points, 3)
 };
 
 }  // namespace mphygs

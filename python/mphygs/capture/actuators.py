@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -22,8 +22,8 @@ _STRONGEST = {"force": 1e6, "pressure": 1e8, "tension": 1e6}  # [N], [Pa], [N]
 @dataclass(frozen=True, eq=False)
 class Actuator:
     """What is common to them. values: (T,) or (T, 3), of frame k at t = k / fps; name: key of its unknown
-    numbers; it acts from start_frame to end_frame, None: to the end; unknown: some of UNKNOWN, fitted: it acts
-    with gain * values(t - delay).
+    numbers; it acts from start_frame to end_frame, None: to the end; unknown: some of UNKNOWN, which are
+    fitted: it acts with gain * values(t - delay).
 
     array: name of the values in their file.
     """
@@ -39,7 +39,7 @@ class Actuator:
     def course(self, times: np.ndarray, fps: float, derivative: int = 0) -> np.ndarray:
         """The values (n, ...) at times (n,) [s], or a derivative of them by time.
 
-        A cubic spline (not-a-knot) goes through the frames; outside of them the first and the last value hold.
+        A cubic spline (not-a-knot) goes through the frames; outside of them the first and the last hold.
         """
         frame = np.asarray(times, float) * fps
         last = len(self.values) - 1
@@ -67,20 +67,20 @@ class Actuator:
 class Force(Actuator):
     """A force (T, 3) [N], shared by the material in box (2, 3) [m] together."""
 
-    box: np.ndarray = None
+    box: np.ndarray = field(kw_only=True)
     array: ClassVar[str] = "force"
 
 
 @dataclass(frozen=True, eq=False)
 class Pressure(Actuator):
-    """A pressure (T,) [Pa] on a patch of the surface, that follows it: above zero it pushes into the material.
+    """A pressure (T,) [Pa] on a patch of the surface, which follows it; above zero it pushes inwards.
 
     part: name of the part whose surface it is, None: any; box: (2, 3) [m] that the patch lies in, at rest,
     None: all of the surface. Surfaces between parts and in holds are no part of it.
     """
 
-    part: str | None = None
-    box: np.ndarray | None = None
+    part: str | None = field(default=None, kw_only=True)
+    box: np.ndarray | None = field(default=None, kw_only=True)
     array: ClassVar[str] = "pressure"
 
 
@@ -91,8 +91,8 @@ class Tendon(Actuator):
     anchor: (3,) [m], a point fixed in space that it runs to after the last one, None: it ends there.
     """
 
-    path: np.ndarray = None
-    anchor: np.ndarray | None = None
+    path: np.ndarray = field(kw_only=True)
+    anchor: np.ndarray | None = field(default=None, kw_only=True)
     array: ClassVar[str] = "tension"
 
 
@@ -118,10 +118,12 @@ def read_actuator(folder: Path, entry: Entry, frames: int, number: int) -> Actua
     start, end = read_frames(entry, frames, default=0)
     common = (name, start, end, _read_unknown(entry.get("unknown")))
     if kind == "force":
-        return Force(_read_values(folder, entry["force"], Force, frames), *common, read_box(entry["box"]))
+        values = _read_values(folder, entry["force"], Force, frames)
+        return Force(values, *common, box=read_box(entry["box"]))
     if kind == "pressure":
         part, box = _read_patch(entry["patch"])
-        return Pressure(_read_values(folder, entry["pressure"], Pressure, frames), *common, part, box)
+        values = _read_values(folder, entry["pressure"], Pressure, frames)
+        return Pressure(values, *common, part=part, box=box)
     values = _read_values(folder, entry["tension"], Tendon, frames)
     if (values < 0.0).any():
         frame = int(np.argmax(values < 0.0))
@@ -130,7 +132,7 @@ def read_actuator(folder: Path, entry: Entry, frames: int, number: int) -> Actua
         )
     anchor = entry.get("anchor")
     end_point = None if anchor is None else anchor.array((3,), most=_WIDEST)
-    return Tendon(values, *common, _read_path(entry["tendon"], end_point), end_point)
+    return Tendon(values, *common, path=_read_path(entry["tendon"], end_point), anchor=end_point)
 
 
 def _read_values(folder: Path, entry: Entry, kind: type[Actuator], frames: int) -> np.ndarray:

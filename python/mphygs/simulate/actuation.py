@@ -110,9 +110,7 @@ class Actuation:
         """Their derivative by a parameter's coordinate; None where it is none of theirs."""
         if all(parameter.key != f"{a.name}.{q}" for a in self._actuators for q in (GAIN, DELAY)):
             return None
-        return np.concatenate(
-            [self._course(a, belief, timeline, parameter) for a in self._actuators], axis=1
-        )
+        return np.concatenate([self._course(a, belief, timeline, parameter) for a in self._actuators], axis=1)
 
     def _course(
         self, actuator: Actuator, belief: Belief, timeline: Timeline, by: Parameter | None = None
@@ -144,7 +142,8 @@ class Actuation:
         """(1, C, 4) that stand at the largest size of every channel, for the stable substep."""
         found = np.zeros((1, self.channel_count, 4))
         most = [
-            _numbers(belief, a)[0] * np.abs(a.values.reshape(len(a.values), -1)).max(0) for a in self._actuators
+            _numbers(belief, a)[0] * np.abs(a.values.reshape(len(a.values), -1)).max(0)
+            for a in self._actuators
         ]
         found[0, :, 0] = np.concatenate(most)
         return found

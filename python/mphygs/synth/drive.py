@@ -40,7 +40,9 @@ class Drive:
             try:
                 numbers[key] = float(value)
             except ValueError:
-                raise ValueError(f"drive '{text}': '{item}' is no number; expected gain=..., delay=...") from None
+                raise ValueError(
+                    f"drive '{text}': '{item}' is no number; expected gain=..., delay=..."
+                ) from None
             if key not in ("gain", "delay"):
                 raise ValueError(f"drive '{text}': unknown '{key}'; expected gain or delay")
         drive = cls(kind, **numbers)

@@ -1,4 +1,4 @@
-"""Loads that are given frame by frame on finite elements: forces, tendons, pressures on the bricks' surface."""
+"""Loads that are given frame by frame, on finite elements: forces, tendons, pressures on the surface."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mphygs.synth.brick_mesh import SAME, BrickMesh
 
 
 class Driven:
-    """One actuator on the nodes of a mesh. `force(x, time)` is (N, 3) [N] at places x (N, 3) of the nodes [m]."""
+    """One actuator on the nodes of a mesh."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Driven:
             self._rows, self._corner = mesh.weights(patch.vertices), patch.triangles
 
     def force(self, x: np.ndarray, time: float) -> np.ndarray:
-        """(N, 3) [N]."""
+        """(N, 3) [N] where the nodes are at x (N, 3) [m]."""
         if not self._span[0] <= time < self._span[1]:
             return np.zeros_like(x)
         size = self._actuator.course(np.array([time]), self._fps)[0]

@@ -155,7 +155,7 @@ class MlsMpmReverse : public MlsStepReverse<T> {
             run_.pulls_->unsee_start(bars_.data(), v_bar_);
         }
         if (run_.actuation_) {
-            this->reverse_loads(0);
+            run_.actuation_->reverse(pushed_bar_, channel_bar_, pose_bar_);
             run_.actuation_->unsee_start(bars_.data(), v_bar_);
         }
         for (int round = run_.start_rounds() - 1; round >= 0; --round) {
@@ -300,7 +300,7 @@ class MlsMpmReverse : public MlsStepReverse<T> {
     using Steps::add_seeds, Steps::add_slope, Steps::add_sums, Steps::bar_, Steps::bar_grid_, Steps::bar_order_, Steps::bars_;
     using Steps::channel_bar_, Steps::clear_sums, Steps::fields_, Steps::flush, Steps::forces_, Steps::given_bar_, Steps::gravity_bar_, Steps::grid_bar, Steps::grids_;
     using Steps::inside, Steps::lambda_, Steps::mass_, Steps::model_, Steps::mu_, Steps::own_mass_, Steps::parameter_bar_;
-    using Steps::particles_, Steps::pose_bar_, Steps::reverse_given, Steps::reverse_step, Steps::run_, Steps::table_;
+    using Steps::particles_, Steps::pose_bar_, Steps::pushed_bar_, Steps::reverse_given, Steps::reverse_step, Steps::run_, Steps::table_;
     using Steps::target_bar_, Steps::volume_;
 
     ParticleTrajectory<T> trajectory_;

@@ -134,15 +134,11 @@ class MlsStepReverse {
                                run_.inverse_spacing_, bars_.data(), [&](std::size_t c) { return grids_.private_grid(c); });
         }
         if (forces && run_.actuation_) {
-            reverse_loads(n + 1);
+            run_.actuation_->reverse(pushed_bar_, channel_bar_, pose_bar_);
             run_.actuation_->unsee(record.moving.data(), record.grid.data(), record.box, static_cast<T>(table_.dt[static_cast<std::size_t>(n)]),
                                    run_.inverse_spacing_, bars_.data(), [&](std::size_t c) { return grids_.private_grid(c); });
         }
         grid_bar(record);
-    }
-    /// From the bars of what the loads of substep n gave.
-    void reverse_loads(int n) {
-        run_.actuation_->reverse(pushed_bar_, channel_bar_, pose_bar_, [&](std::size_t hold) { return run_.forces_.pose_index(hold, n); });
     }
 
     /// Bars of the velocities, summed, to bars of momentum and mass.

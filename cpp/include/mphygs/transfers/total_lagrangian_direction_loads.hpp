@@ -45,29 +45,23 @@ inline void TotalLagrangianDirections<T, L>::place_forces(double time) {
 /// What tendons, pressures and known loads do more in every direction, at the values' state.
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::actuate(int n, int frame, double dt) {
-    const Actuation& a = model_.geometry_.actuation;
-    const Fields<T>& value = *value_.inputs_.primal;
-    if (a.empty() || value.channel.empty()) {
+    if (!value_.actuation_) {
         return;
     }
+    ActuationStep& loads = *value_.actuation_;
     const TargetBasis basis = value_.target_basis(n, frame, dt);
-    const std::size_t interval = static_cast<std::size_t>(frame), poses = static_cast<std::size_t>(schedule_.total_steps()) + 1;
-    std::vector<double> points, channels, moved, changed, force;
-    a.channels_at(&value.channel, interval, basis.value, channels);
-    a.gather([&](std::size_t node, std::size_t c) { return static_cast<double>(value_.u_[value_.at(0, c, node)]); }, false, points);
-    const auto pose = [&](std::size_t h, std::size_t i) { return value_.pose(0, h, n, i); };
-    a.place_points(&pose, points);
+    const auto enter = [&](const Fields<T>& fields) {
+        loads.channels_of(&fields.channel, static_cast<std::size_t>(frame), basis.value);
+        value_.pose_loads(loads, fields, n);
+    };
+    value_.look(loads, value_.u_.data(), stride_, 1);
+    enter(*value_.inputs_.primal);
+    loads.value();
     for (std::size_t k = 0; k < directions_.size(); ++k) {
-        const Fields<T>& direction = *directions_[k];
-        const T* u = reinterpret_cast<const T*>(&u_[k / width * slab_]) + k % width;
-        T* f = reinterpret_cast<T*>(&f_[k / width * slab_]) + k % width;
-        a.channels_at(&direction.channel, interval, basis.value, changed);
-        a.gather([&](std::size_t node, std::size_t c) { return static_cast<double>(u[(3 * node + c) * width]); }, false, moved);
-        if (!direction.pose.empty()) {
-            a.move_points([&](std::size_t h, std::size_t i) { return static_cast<double>(direction.pose[(h * poses + static_cast<std::size_t>(n)) * 12 + i]); }, moved);
-        }
-        a.forces_change(points, channels, moved, changed, force);
-        a.scatter(force, true, [&](std::size_t node, std::size_t c, double x) { f[(3 * node + c) * width] += static_cast<T>(x); });
+        value_.look(loads, reinterpret_cast<const T*>(&u_[k / width * slab_]) + k % width, width, 3 * width);
+        enter(*directions_[k]);
+        loads.change();
+        value_.push(loads, reinterpret_cast<T*>(&f_[k / width * slab_]) + k % width, width, 3 * width);
     }
 }
 

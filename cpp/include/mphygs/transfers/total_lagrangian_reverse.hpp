@@ -176,22 +176,28 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     }
 
     void reverse_actuation(int n, int frame, double dt) {
-        const Actuation& a = model_.geometry_.actuation;
-        if (a.empty() || channel_bar_.empty()) {
+        if (!run_.actuation_) {
             return;
         }
+        ActuationStep& loads = *run_.actuation_;
+        const Actuation& a = model_.geometry_.actuation;
+        const Fields<T>& fields = *run_.inputs_.primal;
         const TargetBasis basis = run_.target_basis(n, frame, dt);
-        std::vector<double> points, channels, force_bar, points_bar, channels_bar;
-        a.channels_at(&run_.inputs_.primal->channel, index(frame), basis.value, channels);
-        a.gather([&](std::size_t node, std::size_t c) { return static_cast<double>(run_.u_[run_.at(0, c, node)]); }, false, points);
-        const auto pose = [&](std::size_t h, std::size_t i) { return run_.pose(0, h, n, i); };
-        a.place_points(&pose, points);
-        a.gather([&](std::size_t node, std::size_t c) { return static_cast<double>(fbar_[run_.at(0, c, node)]); }, true, force_bar);
-        a.forces_bar(points, channels, force_bar, points_bar, channels_bar);
-        a.channels_bar(channels_bar, index(frame), basis.value, channel_bar_);
-        a.scatter(points_bar, false, [&](std::size_t node, std::size_t c, double bar) { ubar_[run_.at(0, c, node)] += static_cast<T>(bar); });
-        const std::size_t poses = static_cast<std::size_t>(schedule_.total_steps()) + 1;
-        a.pose_bar(points_bar, [&](std::size_t h, std::size_t i, double bar) { pose_bar_[(h * poses + index(n)) * 12 + i] += bar; });
+        run_.look(loads, run_.u_.data(), run_.stride_, 1);
+        loads.channels_of(&fields.channel, index(frame), basis.value);
+        run_.pose_loads(loads, fields, n);
+        loads.value();
+        for (std::size_t i = 0; i < loads.pushed.size(); ++i) {
+            loads.pushed[i] = static_cast<double>(fbar_[run_.at(0, i % 3, static_cast<std::size_t>(a.pushed_carriers()[i / 3]))]);
+        }
+        loads.reverse();
+        loads.add_channels_bar(index(frame), basis.value, channel_bar_);
+        for (std::size_t i = 0; i < loads.seen.size(); ++i) {
+            ubar_[run_.at(0, i % 3, static_cast<std::size_t>(a.read_carriers()[i / 3]))] += static_cast<T>(loads.seen[i]);
+        }
+        for (std::size_t i = 0; i < loads.poses.size(); ++i) {
+            pose_bar_[run_.pose_at(i / 12, n) + i % 12] += loads.poses[i];
+        }
     }
 
     /// Of linear rows the adjoint is the transpose: no value is needed.
