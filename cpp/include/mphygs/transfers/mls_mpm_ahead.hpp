@@ -20,26 +20,21 @@ class MlsAhead {
     using S = PackScalar<T, K>;
     static constexpr int lanes = K + 1;
 
-    static constexpr std::size_t quad = 4;  // x, y, z, and one that stays 0
+    explicit MlsAhead(const MlsMpm<T>& model) : model_(model) {}
 
-    /// place, speed: what of displacement and velocity is asked for.
-    MlsAhead(const MlsMpm<T>& model, T place, T speed) : model_(model), place_(place), speed_(speed) {}
-
-    /// Finds particles in another order. read: where they are in it; begin(c): first particle of chunk c.
-    template <class F>
-    void follow(const std::shared_ptr<const MlsOrder<T>>& order, const std::vector<std::size_t>& read, std::size_t chunks, const F& begin) {
+    /// Finds the particles `read` in another order, place: where each of all particles is. begin(c): first particle of chunk c.
+    template <class N, class F>
+    void follow(const std::shared_ptr<const MlsOrder<T>>& order, const std::vector<N>& read, const std::vector<std::size_t>& place,
+                std::size_t chunks, const F& begin) {
         order_ = order;
-        for (int l = 0; l < lanes; ++l) {
-            seen[l].resize(quad * read.size());
-        }
-        seen_bar.resize(quad * read.size());
         std::vector<std::vector<Seen>> of_chunk(chunks);
         for (std::size_t k = 0; k < read.size(); ++k) {
+            const std::size_t at = place[static_cast<std::size_t>(read[k])];
             std::size_t c = 0;
-            while (begin(c + 1) <= read[k]) {
+            while (begin(c + 1) <= at) {
                 ++c;
             }
-            of_chunk[c].push_back({read[k], k});
+            of_chunk[c].push_back({at, k});
         }
         tiles_.clear();
         for (std::size_t c = 0; c < chunks; ++c) {
@@ -52,44 +47,43 @@ class MlsAhead {
     }
     const std::shared_ptr<const MlsOrder<T>>& order() const { return order_; }
 
-    /// place times displacement and speed times velocity, summed, at n + 1: (particles, quad) of every lane, and their bars.
-    std::vector<T> seen[lanes], seen_bar;
-
-    /// From particles and grid at n; h: length of substep n.
-    void see(const T* moving, const T* grid, const Box& box, T h) {
+    /// keep(lane, number, component, u, v): displacement and velocity at n + 1, from particles and grid at n; h: length of substep n.
+    template <class F>
+    void see(const T* moving, const T* grid, const Box& box, T h, const F& keep) {
         MlsTile<T, K> tile;
         for (const Tile& t : tiles_) {
             gather(t, moving, grid, box, tile);
-            each_of(t, [&](std::size_t q, const Seen& one) {
+            each_of(t, [&](std::size_t q, const Seen& seen) {
                 for (int l = 0; l < lanes; ++l) {
                     const std::size_t lane = static_cast<std::size_t>(l) * moving_numbers * model_.padded_;
                     for (std::size_t c = 0; c < 3; ++c) {
-                        const T v = tile.q[l][c][q], u = moving[lane + slot_of(c, moving_numbers, one.place)] + h * v;
-                        seen[l][quad * one.number + c] = place_ * u + speed_ * v;
+                        const T v = tile.q[l][c][q], u = moving[lane + slot_of(c, moving_numbers, seen.place)] + h * v;
+                        keep(l, seen.number, c, u, v);
                     }
                 }
             });
         }
     }
     /// The same of the initial state. velocity: (lanes, 3, size).
-    void see_start(const T* moving, const std::vector<T>& velocity) {
+    template <class F>
+    void see_start(const T* moving, const std::vector<T>& velocity, const F& keep) {
         for (const Tile& t : tiles_) {
-            each_of(t, [&](std::size_t, const Seen& one) {
+            each_of(t, [&](std::size_t, const Seen& seen) {
                 for (int l = 0; l < lanes; ++l) {
                     const std::size_t lane = static_cast<std::size_t>(l);
                     for (std::size_t c = 0; c < 3; ++c) {
-                        seen[l][quad * one.number + c] =
-                            place_ * moving[lane * moving_numbers * model_.padded_ + slot_of(c, moving_numbers, one.place)] +
-                            speed_ * velocity[(3 * lane + c) * model_.padded_ + one.place];
+                        keep(l, seen.number, c, moving[lane * moving_numbers * model_.padded_ + slot_of(c, moving_numbers, seen.place)],
+                             velocity[(3 * lane + c) * model_.padded_ + seen.place]);
                     }
                 }
             });
         }
     }
 
-    /// `see` backwards. bars: of what moves, at n; grid_of(c): bars of the grid at n that chunk c adds to.
-    template <class F>
-    void unsee(const T* moving, const T* grid, const Box& box, T h, T inverse_spacing, T* bars, const F& grid_of) {
+    /// `see` backwards. bars: of what moves, at n; grid_of(c): bars of the grid at n that chunk c adds to;
+    /// bar(number, component, u_bar, v_bar): writes the bars of what was seen.
+    template <class F, class G>
+    void unsee(const T* moving, const T* grid, const Box& box, T h, T inverse_spacing, T* bars, const F& grid_of, const G& bar) {
         MlsTile<T, 0> tile;
         for (const Tile& t : tiles_) {
             gather(t, moving, grid, box, tile);
@@ -98,30 +92,33 @@ class MlsAhead {
             std::memset(tile.q, 0, sizeof tile.q);
             std::memset(tile.n, 0, sizeof tile.n);
             std::memset(tile.mass, 0, sizeof tile.mass);
-            each_of(t, [&](std::size_t q, const Seen& one) {
+            each_of(t, [&](std::size_t q, const Seen& seen) {
                 for (std::size_t c = 0; c < 3; ++c) {
-                    const T bar = seen_bar[quad * one.number + c], u_bar = place_ * bar;
-                    bars[slot_of(c, moving_numbers, one.place)] += u_bar;
-                    tile.q[0][c][q] = speed_ * bar + h * u_bar;
+                    T u_bar{}, v_bar{};
+                    bar(seen.number, c, u_bar, v_bar);
+                    bars[slot_of(c, moving_numbers, seen.place)] += u_bar;
+                    tile.q[0][c][q] = v_bar + h * u_bar;
                 }
             });
             TileSlope<T> slope;
             reverse_gather_rows<T>(tile, velocity, grid, grid_of(t.chunk), model_.axis_, box, slope);
-            each_of(t, [&](std::size_t q, const Seen& one) {
+            each_of(t, [&](std::size_t q, const Seen& seen) {
                 for (std::size_t c = 0; c < 3; ++c) {
-                    bars[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, one.place)] += inverse_spacing * slope.by[c][q];
+                    bars[slot_of(static_cast<std::size_t>(model_.axis_[c]), moving_numbers, seen.place)] += inverse_spacing * slope.by[c][q];
                 }
             });
         }
     }
     /// `see_start` backwards. velocity_bar: (3, size).
-    void unsee_start(T* bars, std::vector<T>& velocity_bar) const {
+    template <class G>
+    void unsee_start(T* bars, std::vector<T>& velocity_bar, const G& bar) const {
         for (const Tile& t : tiles_) {
-            each_of(t, [&](std::size_t, const Seen& one) {
+            each_of(t, [&](std::size_t, const Seen& seen) {
                 for (std::size_t c = 0; c < 3; ++c) {
-                    const T bar = seen_bar[quad * one.number + c];
-                    bars[slot_of(c, moving_numbers, one.place)] += place_ * bar;
-                    velocity_bar[c * model_.padded_ + one.place] += speed_ * bar;
+                    T u_bar{}, v_bar{};
+                    bar(seen.number, c, u_bar, v_bar);
+                    bars[slot_of(c, moving_numbers, seen.place)] += u_bar;
+                    velocity_bar[c * model_.padded_ + seen.place] += v_bar;
                 }
             });
         }
@@ -169,7 +166,6 @@ class MlsAhead {
     }
 
     const MlsMpm<T>& model_;
-    T place_, speed_;
     std::shared_ptr<const MlsOrder<T>> order_;
     std::vector<Tile> tiles_;
 };

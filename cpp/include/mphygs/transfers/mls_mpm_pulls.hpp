@@ -14,13 +14,13 @@ class MlsPulls {
   public:
     using S = PackScalar<T, K>;
     static constexpr int lanes = K + 1;
-    static_assert(MlsAhead<T, K>::quad == ObserverRows<T>::quad);
+    static constexpr std::size_t quad = ObserverRows<T>::quad;
 
     MlsPulls(const MlsMpm<T>& model, const Inputs<T, K>& inputs, const Schedule& schedule, const StepTable& table)
         : model_(model), inputs_(inputs), schedule_(schedule), table_(table), groups_(inputs.observer->reach_begin.size() - 1),
           stride_((groups_ + lane_count - 1) / lane_count * lane_count),
           rows_(*inputs.observer, stride_, [&](std::size_t n) { return n < groups_ ? static_cast<std::int32_t>(n) : -1; }),
-          ahead_(model, rows_.stiffness(), rows_.damping()) {
+          ahead_(model) {
         given_.resize(static_cast<std::size_t>(lanes) * 3 * model.padded_);
         for (int l = 0; l < lanes; ++l) {
             pulled_[l].resize(3 * stride_);
@@ -64,17 +64,15 @@ class MlsPulls {
                 group_[p] = order->hold[p] < 0 ? inputs_.observer->reach_row_of(i) : -1;  // holds have their own velocity
             }
         }
-        std::vector<std::size_t> read;
-        for (const std::size_t i : rows_.read_carriers()) {
-            read.push_back(place[i]);
-        }
-        ahead_.follow(order, read, chunks, begin);
+        ahead_.follow(order, rows_.read_carriers(), place, chunks, begin);
     }
 
     /// What channels read at n + 1, from particles and grid at n; h: length of substep n.
-    void see(const T* moving, const T* grid, const Box& box, T h) { ahead_.see(moving, grid, box, h); }
+    void see(const T* moving, const T* grid, const Box& box, T h) {
+        ahead_.see(moving, grid, box, h, keep());
+    }
     /// The same of the initial state. velocity: (lanes, 3, size).
-    void see_start(const T* moving, const std::vector<T>& velocity) { ahead_.see_start(moving, velocity); }
+    void see_start(const T* moving, const std::vector<T>& velocity) { ahead_.see_start(moving, velocity, keep()); }
 
     /// Turns what was seen into what every particle is given.
     void spread(Team& team) {
@@ -82,7 +80,7 @@ class MlsPulls {
         std::vector<const T*> asked;
         std::vector<T*> pulled;
         for (int l = 0; l < lanes; ++l) {
-            rows_.ask(interval_, factors, aims_[l], ahead_.seen[l], asked_[l]);
+            rows_.ask(interval_, factors, aims_[l], blend_of(l), asked_[l]);
             asked.push_back(asked_[l].data());
             pulled.push_back(pulled_[l].data());
         }
@@ -124,20 +122,36 @@ class MlsPulls {
             }
         }
         rows_.pull_bar(dt(), pulled_[0].data(), asked_[0]);
-        rows_.ask_bar(interval_, basis(), asked_[0], target_bar, ahead_.seen_bar);
+        rows_.ask_bar(interval_, basis(), asked_[0], target_bar, seen_bar_);
     }
     /// `see` backwards. bars: of what moves, at n; grid_of(c): bars of the grid at n that chunk c adds to.
     template <class F>
     void unsee(const T* moving, const T* grid, const Box& box, T h, T inverse_spacing, T* bars, const F& grid_of) {
-        ahead_.unsee(moving, grid, box, h, inverse_spacing, bars, grid_of);
+        ahead_.unsee(moving, grid, box, h, inverse_spacing, bars, grid_of, bar());
     }
     /// `see_start` backwards. velocity_bar: (3, size).
-    void unsee_start(T* bars, std::vector<T>& velocity_bar) const { ahead_.unsee_start(bars, velocity_bar); }
+    void unsee_start(T* bars, std::vector<T>& velocity_bar) const { ahead_.unsee_start(bars, velocity_bar, bar()); }
 
   private:
+    auto keep() {
+        return [this](int l, std::size_t number, std::size_t c, T u, T v) {
+            blend_of(l)[quad * number + c] = rows_.stiffness() * u + rows_.damping() * v;
+        };
+    }
+    auto bar() const {
+        return [this](std::size_t number, std::size_t c, T& u_bar, T& v_bar) {
+            const T bar = seen_bar_[quad * number + c];
+            u_bar = rows_.stiffness() * bar;
+            v_bar = rows_.damping() * bar;
+        };
+    }
     T dt() const { return static_cast<T>(table_.dt[static_cast<std::size_t>(n_)]); }
     TargetBasis basis() const {
         return {n_ - first_step_[interval_], schedule_.steps[interval_], table_.dt[static_cast<std::size_t>(n_)]};
+    }
+    std::vector<T>& blend_of(int l) {
+        blend_[l].resize(quad * rows_.read_carriers().size());
+        return blend_[l];
     }
 
     const MlsMpm<T>& model_;
@@ -152,8 +166,9 @@ class MlsPulls {
     int n_ = 0;
     std::size_t interval_ = static_cast<std::size_t>(-1);
     bool pulling_ = false;
-    std::vector<T> aims_[lanes], asked_[lanes], pulled_[lanes];  // see ObserverRows
-    std::vector<T> given_;  // (lanes, 3, size) [m/s]
+    std::vector<T> aims_[lanes], blend_[lanes], asked_[lanes], pulled_[lanes];  // see ObserverRows
+    std::vector<T> given_;     // (lanes, 3, size) [m/s]
+    std::vector<T> seen_bar_;  // (particles that channels read, quad)
 };
 
 }  // namespace mphygs

@@ -308,7 +308,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
             momentum = momentum + forces_.fixed(order, fixed_mass, first) * pulls_->given(first);
         }
         if (actuation_) {
-            momentum = momentum + actuation_->given(first);
+            actuation_->give(first, momentum);
         }
     }
     /// The same for a hot tile.
