@@ -10,7 +10,7 @@ namespace {
 using namespace mphygs;
 
 MlsGeometry to_mls_geometry(const py::dict& d) {
-    reject_unknown(d, {"origin", "spacing", "points", "part", "surface_area", "hold", "places", "place_particle", "hold_count", "hold_centre", "part_count"},
+    reject_unknown(d, {"origin", "spacing", "points", "part", "surface_area", "hold", "places", "place_particle", "hold_count", "hold_centre", "part_count", "actuation"},
                    "geometry");
     MlsGeometry g;
     if (d.contains("origin")) {
@@ -26,6 +26,7 @@ MlsGeometry to_mls_geometry(const py::dict& d) {
     g.place_particle = entry<std::int32_t>(d, "place_particle");
     g.hold_count = d.contains("hold_count") ? d["hold_count"].cast<int>() : 0;
     g.part_count = d.contains("part_count") ? d["part_count"].cast<int>() : 1;
+    g.actuation = to_actuation(d);
     return g;
 }
 

@@ -27,10 +27,39 @@ std::vector<T> entry(const py::dict& d, const char* key) {
     return d.contains(key) ? to_vector<T>(d[key].template cast<Array<T>>()) : std::vector<T>{};
 }
 
+/// Loads that change with time: rows, places and holds of their points, what acts at them, and how many channels.
+inline mphygs::Actuation to_actuation(const py::dict& geometry) {
+    mphygs::Actuation a;
+    if (!geometry.contains("actuation")) {
+        return a;
+    }
+    const auto d = geometry["actuation"].cast<py::dict>();
+    reject_unknown(d,
+                   {"row_begin", "row_carrier", "row_weight", "place", "hold", "force_point", "force_channel", "path_begin", "path_point",
+                    "path_channel", "triangle", "triangle_middle", "triangle_channel", "channel_count"},
+                   "actuation");
+    a.row_begin = entry<std::int32_t>(d, "row_begin");
+    a.row_carrier = entry<std::int32_t>(d, "row_carrier");
+    a.row_weight = entry<double>(d, "row_weight");
+    a.place = entry<double>(d, "place");
+    a.hold = entry<std::int32_t>(d, "hold");
+    a.force_point = entry<std::int32_t>(d, "force_point");
+    a.force_channel = entry<std::int32_t>(d, "force_channel");
+    a.path_begin = entry<std::int32_t>(d, "path_begin");
+    a.path_point = entry<std::int32_t>(d, "path_point");
+    a.path_channel = entry<std::int32_t>(d, "path_channel");
+    a.triangle = entry<std::int32_t>(d, "triangle");
+    a.triangle_middle = entry<std::int32_t>(d, "triangle_middle");
+    a.triangle_channel = entry<std::int32_t>(d, "triangle_channel");
+    a.channel_count = d["channel_count"].cast<int>();
+    return a;
+}
+
 inline mphygs::Geometry to_geometry(const py::dict& d) {
     reject_unknown(d,
                    {"origin", "spacing", "grid_width", "cell", "part", "points", "sparse", "surface_cell", "surface_points", "surface_area", "place_cell",
-                    "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "hold_centre", "part_count"},
+                    "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "hold_centre", "part_count",
+                    "actuation"},
                    "geometry");
     mphygs::Geometry g;
     // (3,) of one grid, or (G, 3) of those that stand beside each other.
@@ -64,6 +93,7 @@ inline mphygs::Geometry to_geometry(const py::dict& d) {
     g.hold_count = d.contains("hold_count") ? d["hold_count"].cast<int>() : 0;
     g.hold_centre = entry<double>(d, "hold_centre");
     g.part_count = d.contains("part_count") ? d["part_count"].cast<int>() : 1;
+    g.actuation = to_actuation(d);
     return g;
 }
 

@@ -91,6 +91,7 @@ MlsMpm<T>::MlsMpm(MlsGeometry geometry, MlsSettings settings) : geometry_(std::m
                                                                              std::to_string(given) + " of " + std::to_string(count));
         place_particle_.push_back(given >= 0 ? given : nearest_particle(g, &g.places[3 * p]));
     }
+    geometry_.actuation.settle(count, g.hold_count);
     workspace_ = std::make_shared<MlsWorkspace<T>>();
     padded_ = (count + tile_size - 1) / tile_size * tile_size;
     chunk_count_ = static_cast<int>(std::clamp<std::size_t>(padded_ / 1024, 1, 16));
@@ -126,6 +127,7 @@ void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s, const Observer* obs
     size(f.displacement0, 3 * count, true, "displacement0");
     size(f.velocity0, 3 * count, true, "velocity0");
     size(f.node_force, 3 * count * frames, true, "node_force");
+    geometry_.actuation.check_channels(f.channel.size(), frames);
     size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
          geometry_.hold_count == 0, "pose");
     require(observer || f.target.empty(), "the fields have a target but there is no observer");

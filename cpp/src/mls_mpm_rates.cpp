@@ -1,4 +1,5 @@
 // Largest rates of the MLS-MPM transfer, for the length of the substep.
+#include <algorithm>
 #include <cmath>
 
 #include "mphygs/transfers/mls_mpm_run.hpp"
@@ -11,6 +12,7 @@ std::array<double, 2> MlsMpm<T>::largest_rates(const Fields<T>& fields, int iter
     MlsGeometry geometry = geometry_;
     geometry.hold.clear();
     geometry.hold_count = 0;
+    std::fill(geometry.actuation.hold.begin(), geometry.actuation.hold.end(), -1);
     const MlsMpm<T> model(std::move(geometry), settings_);
     Fields<T> value = fields;
     std::fill(value.gravity.begin(), value.gravity.end(), T{});

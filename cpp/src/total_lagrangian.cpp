@@ -76,6 +76,7 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
     value.velocity0.clear();
     value.node_force.clear();
     value.target.clear();
+    value.channel.clear();
     std::fill(value.stress_volume.begin(), value.stress_volume.end(), T{});  // no stress
     Inputs<T, 0> inputs;
     inputs.primal = &value;
@@ -95,6 +96,7 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
 template <class T>
 std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields, int iterations, const PointHook<T>* hook) const {
     check_body(fields);
+    geometry_.actuation.check_channels(fields.channel.size(), 1);
     // One tangent substep from rest: with a unit step, du = 0 and dv = x gives the force on v,
     // du = x gives the stiffness. No gravity, no hold: both only lower the frequencies.
     Fields<T> value = fields;

@@ -242,6 +242,7 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         require(n >= 0, "a hold or tie is attached to a node without material");
         constraint_node_.push_back(n);
     }
+    geometry_.actuation.settle(node_count(), g.hold_count);
 }
 
 template <class T>
@@ -302,6 +303,7 @@ void TotalLagrangian<T>::check(const Fields<T>& f, const Schedule& s, const Obse
     }
     check_body(f);
     require_size(f.node_force, 3 * node_count() * frames, true, "node_force");
+    geometry_.actuation.check_channels(f.channel.size(), frames);
     require_size(f.pose, static_cast<std::size_t>(geometry_.hold_count) * static_cast<std::size_t>(s.total_steps() + 1) * 12,
                  geometry_.hold_count == 0, "pose");
     const std::size_t holds = static_cast<std::size_t>(geometry_.hold_count);

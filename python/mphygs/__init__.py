@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from mphygs.api.stepping import Steps as Steps
     from mphygs.api.stepping import discover as discover
     from mphygs.api.stepping import extend as extend
+    from mphygs.capture.actuators import Force as Force
+    from mphygs.capture.actuators import Pressure as Pressure
+    from mphygs.capture.actuators import Tendon as Tendon
     from mphygs.capture.format import Capture as Capture
     from mphygs.capture.format import Hold as Hold
     from mphygs.capture.format import Known as Known
@@ -43,13 +46,14 @@ if TYPE_CHECKING:
     from mphygs.model.descriptor import ParameterSpec as ParameterSpec
     from mphygs.model.user_effect import register_effect as register_effect
 
-_FORMAT = "mphygs.capture.format"
+_FORMAT, _ACTUATORS = "mphygs.capture.format", "mphygs.capture.actuators"
 _WHERE = {
     "Capture": _FORMAT,
     "Comparison": "mphygs.api.comparing",
     "Diagnosis": "mphygs.api.diagnosing",
     "FailedError": "mphygs.api.errors",
     "Fit": "mphygs.api.fitting",
+    "Force": _ACTUATORS,
     "Hold": _FORMAT,
     "InputError": "mphygs.api.errors",
     "Known": _FORMAT,
@@ -61,9 +65,11 @@ _WHERE = {
     "MphygsError": "mphygs.api.errors",
     "ParameterSpec": "mphygs.model.descriptor",
     "Part": _FORMAT,
+    "Pressure": _ACTUATORS,
     "Sensor": _FORMAT,
     "Sequence": _FORMAT,
     "Steps": "mphygs.api.stepping",
+    "Tendon": _ACTUATORS,
     "load_capture": "mphygs.api.files",
     "register_effect": "mphygs.model.user_effect",
     "rollout": "mphygs.api.gradient",

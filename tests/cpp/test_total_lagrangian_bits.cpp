@@ -4,6 +4,7 @@
 #include <cmath>
 #include <string>
 
+#include "actuation_scene.hpp"
 #include "bar_scene.hpp"
 
 namespace mphygs {
@@ -29,6 +30,10 @@ class SameBits : public testing::Test {
         options.cells[2] = 9;  // 144 blocks: two chunks
         test::Bar b = test::make_bar(options, schedule, settings);
         test::stir(b, 31);
+        Geometry loaded = b.model->geometry();
+        loaded.actuation = test::loads(static_cast<int>(b.model->node_count()), true);
+        b.model = std::make_shared<TotalLagrangian<double>>(std::move(loaded), settings);
+        b.fields.channel = test::courses<double>(2);
         test::Random random(32);
         const std::size_t size = (schedule.steps.size() + 1) * 3 * b.model->node_count();
         const Trajectory<double> seed{random.numbers(size, -1e3, 1e3), random.numbers(size, -1, 1)};

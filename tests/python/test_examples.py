@@ -122,6 +122,17 @@ def test_next_motion(example: ModuleType) -> None:
 
 
 @pytest.mark.slow
+def test_tendon(example: ModuleType) -> None:
+    found = example.main().parameters
+    for key, truth, near in (
+        ("finger.youngs_modulus", 1.2e5, 0.05),
+        ("tendon.gain", 0.7, 0.05),
+        ("tendon.delay", 0.02, 0.1),
+    ):
+        assert found[key].determined and found[key].value == pytest.approx(truth, rel=near), key
+
+
+@pytest.mark.slow
 def test_beam(example: ModuleType, shared_data: Path) -> None:
     found = example.main(shared_data / "silicone-beam")
     errors = [row for row in found.rows() if row["sequence"] == "gravity-a" and row["frames"] == "predict"]

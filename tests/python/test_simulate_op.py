@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from torch.autograd import forward_ad, gradcheck
 
+from actuation_example import actuation, channels
 from bar_capture import bar_belief, bar_capture
 from mphygs.model.belief import Belief
 from mphygs.simulate.body import Body, core_model, discretise, hold_boxes
@@ -38,10 +41,10 @@ def scene(budget: int = 2 << 30, dtype: type = np.float64) -> tuple[Belief, Body
     belief = belief.with_effect("tether", {"k": 3.0}, {"place": [0.033, 0.012, 0.01]})
     spots = places(belief)
     body = discretise(capture, hold_boxes(capture.sequence("a")), 0.012, places=spots)
-    model = core_model(
-        body, active=core_effects(belief), dtype=dtype, law="neo-hookean", threads=1, memory_budget=budget
-    )
-    return belief, body, model
+    options = {"dtype": dtype, "law": "neo-hookean", "threads": 1, "memory_budget": budget}
+    nodes = core_model(body, active=(), **options).node_count
+    body = replace(body, geometry=body.geometry | {"actuation": actuation(nodes)})
+    return belief, body, core_model(body, active=core_effects(belief), **options)
 
 
 def all_fields(
@@ -60,6 +63,7 @@ def all_fields(
     pose = np.zeros((1, STEPS.sum() + 1, 12))
     pose[..., [0, 4, 8]] = 1.0
     fields["pose"] = pose + 1e-4 * random.standard_normal(pose.shape)
+    fields["channel"] = channels(len(STEPS), random)
     assert set(fields) == set(FREE_FIELDS)
     return {name: torch.tensor(value, dtype=dtype) for name, value in fields.items()}
 
@@ -132,7 +136,7 @@ def test_gradcheck_of_single_entries() -> None:
 def test_windows_are_single_rollouts_and_shared_gradients_add() -> None:
     belief, body, model = scene()
     fields = all_fields(belief, body, model)
-    own = ("displacement0", "velocity0", "node_force", "pose")
+    own = ("displacement0", "velocity0", "node_force", "pose", "channel")
     shared = {n: t.clone().requires_grad_() for n, t in fields.items() if n not in own}
     second = {n: 0.5 * fields[n] for n in own if n != "pose"} | {"pose": fields["pose"]}
     later = {"steps": STEPS[::-1].copy(), "dt": SCHEDULE["dt"], "start": 0.05}

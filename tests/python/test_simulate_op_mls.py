@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
+from actuation_example import actuation, channels
 from bar_capture import bar_belief, bar_capture
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -37,6 +38,7 @@ def scene(budget: int = ROOMY, dtype: str = "float64") -> tuple[Belief, Predicto
     belief = belief.with_effect("tether", {"k": 3.0}, {"place": [0.033, 0.012, 0.01]})
     settings = Settings(0.012, dtype=dtype, memory_budget=budget, transfer="mls")
     predictor = Predictor(capture, capture.sequence("a"), settings)
+    predictor.transfer.actuate(actuation(len(predictor.transfer.places_at_rest())))
     return belief, predictor, predictor.model_of(belief)
 
 
@@ -54,6 +56,7 @@ def all_fields(
     pose = np.zeros((1, STEPS.sum() + 1, 12))
     pose[..., [0, 4, 8]] = 1.0
     fields["pose"] = pose + 1e-4 * random.standard_normal(pose.shape)
+    fields["channel"] = channels(len(STEPS), random)
     assert set(fields) == set(FREE_FIELDS)
     return {name: torch.tensor(value, dtype=dtype) for name, value in fields.items()}
 
@@ -104,7 +107,7 @@ def test_a_tight_budget_recomputes_and_gives_the_same_gradient() -> None:
 def test_windows_are_single_rollouts_and_shared_gradients_add() -> None:
     belief, predictor, model = scene()
     fields = all_fields(belief, predictor)
-    own = ("displacement0", "velocity0", "deformation0", "node_force", "pose")
+    own = ("displacement0", "velocity0", "deformation0", "node_force", "pose", "channel")
     shared = {n: t.clone().requires_grad_() for n, t in fields.items() if n not in own}
     second = {n: fields[n] if n in ("pose", "deformation0") else 0.5 * fields[n] for n in own}
     later = {"steps": STEPS[::-1].copy(), "dt": SCHEDULE["dt"], "start": 0.05}

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "mphygs/actuation.hpp"
 #include "mphygs/effect.hpp"
 
 namespace mphygs {
@@ -45,6 +46,7 @@ struct Geometry {
     int hold_count = 0;
     std::vector<double> hold_centre;       // (H, 3) about which torques are told [m]; needed for reactions only
     int part_count = 1;
+    Actuation actuation;  // loads that change with time and follow the object; its carriers are the nodes
 
     std::size_t block_count() const { return part.size(); }
     std::size_t surface_count() const { return surface_cell.size() / 3; }
@@ -108,15 +110,16 @@ struct Fields {
     std::vector<T> node_force;       // (F, N, 3) known force between frames [N]
     std::vector<T> pose;             // (H, steps + 1, 12): R (row major) and p of every hold [-, m]
     std::vector<T> target;           // (F, M, 4, 3) of an observer's channels, polynomials in each interval [m]
+    std::vector<T> channel;          // (F, C, 4) of an actuation's channels, polynomials in each interval [N or Pa]; empty: none acts
     // The same names, for loops over all of them.
-    static constexpr int count = 14;
+    static constexpr int count = 15;
     std::array<std::vector<T>*, count> all() {
         return {&mu, &lambda, &stress_volume, &mass, &deformation0, &effect, &place_mass, &place_effect,
-                &gravity, &displacement0, &velocity0, &node_force, &pose, &target};
+                &gravity, &displacement0, &velocity0, &node_force, &pose, &target, &channel};
     }
     static constexpr std::array<const char*, count> names = {
         "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
-        "gravity", "displacement0", "velocity0", "node_force", "pose", "target"};
+        "gravity", "displacement0", "velocity0", "node_force", "pose", "target", "channel"};
 };
 
 /// Node states at the output frames (the initial state is frame 0).

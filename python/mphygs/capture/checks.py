@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
+from mphygs.capture.actuator_checks import check_actuators
 from mphygs.capture.errors import CaptureError, fault
-from mphygs.capture.holds import Hold, Load
+from mphygs.capture.holds import Hold
 from mphygs.capture.markers import Markers
-from mphygs.capture.overlap import box_meets_solid, distance_to_box, just_inside, winding_number
+from mphygs.capture.material_checks import check_load, check_material, check_names, span
+from mphygs.capture.overlap import distance_to_box, just_inside, winding_number
 from mphygs.capture.record import Capture, Sequence
 from mphygs.capture.sensor_checks import check_sensors
 
 SIZE = (1e-3, 20.0)  # [m] of the object
 DENSITY = (5.0, 25000.0)  # [kg/m^3], from light foam to osmium
-LONGEST_NAME = 100  # bytes, of a part or a sequence
-ACCELERATION = 1e5  # [m/s^2], by a load
 FAR = 100.0  # sizes of the object, that anything of it moves
 STRETCH = 5.0  # sizes of the object, between a marker and what is held
 THINNEST = 1.0 / 1500.0  # of a part's size
-_USUAL_DENSITY = 1000.0  # [kg/m^3]
 GRAVITY = 300.0  # [m/s^2]; more is another unit than m/s^2
 
 
 def check_capture(capture: Capture) -> None:
     """Raise CaptureError at the first thing that contradicts another or cannot be in SI units."""
     file = str(capture.folder / "capture.json")
-    _check_names(f"{file}: object.parts", [part.name for part in capture.parts], dots=False)
-    _check_names(f"{file}: sequences", [sequence.name for sequence in capture.sequences], dots=True)
+    check_names(f"{file}: object.parts", [part.name for part in capture.parts], dots=False)
+    check_names(f"{file}: sequences", [sequence.name for sequence in capture.sequences], dots=True)
     _check_units(file, capture)
     _check_owned(file, capture)
     for index, sequence in enumerate(capture.sequences):
@@ -37,31 +34,13 @@ def check_capture(capture: Capture) -> None:
         for i, hold in enumerate(sequence.held):
             _check_hold(f"{where}.held[{i}]", capture, hold)
         for i, load in enumerate(sequence.loads):
-            _check_material(f"{where}.loads[{i}].box", capture, load.box)
-            _check_load(f"{where}.loads[{i}].force", capture, load)
+            check_material(f"{where}.loads[{i}].box", capture, load.box)
+            check_load(f"{where}.loads[{i}].force", capture, load)
+        check_actuators(where, capture, sequence.actuators)
         if sequence.markers is not None:
             _check_markers(f"{where}.markers", capture, sequence, sequence.markers)
             _check_tracks(f"{where}.markers", capture, sequence, sequence.markers)
         check_sensors(where, capture, sequence)
-
-
-def _check_names(where: str, names: list[str], *, dots: bool) -> None:
-    """Names are keys of results, options and file names. A dot would split "<part>.<parameter>"."""
-    inner = r"[\w .+-]" if dots else r"[\w +-]"
-    for index, name in enumerate(names):
-        if not re.fullmatch(rf"\w(?:{inner}*\w)?", name):
-            marks = '"_", "-", "+"' + (', "."' if dots else "")
-            raise fault(
-                f"{where}[{index}].name",
-                f'is "{name}"',
-                f"letters, digits and, between them, {marks} or spaces",
-            )
-        if len(name.encode()) > LONGEST_NAME:
-            raise fault(
-                f"{where}[{index}].name", f'is "{name}"', f"at most {LONGEST_NAME} bytes: files are named so"
-            )
-        if name in names[:index]:
-            raise fault(f"{where}[{index}].name", f'"{name}" is given twice', "every name once")
 
 
 def _check_units(file: str, capture: Capture) -> None:
@@ -155,43 +134,13 @@ def _check_measured(where: str, sequence: Sequence) -> None:
         )
 
 
-def _check_material(where: str, capture: Capture, box: np.ndarray) -> None:
-    if not capture.parts:
-        return
-    if not any(box_meets_solid(box, part.vertices, part.faces) for part in capture.parts):
-        raise fault(where, "no material of the object lies in it", f"a box [m] that meets {_span(capture)}")
-
-
-def _check_load(where: str, capture: Capture, load: Load) -> None:
-    """A force that would throw the object out of sight is none in N."""
-    if not capture.parts:
-        return
-    known = capture.known
-    mass = known.mass or sum(known.density.get(p.name, _USUAL_DENSITY) * p.volume for p in capture.parts)
-    force = float(np.linalg.norm(load.force))
-    if force > ACCELERATION * mass:
-        raise fault(
-            where,
-            f"{force:.3g} N on an object of about {mass:.2g} kg, {force / mass / 9.81:.2g} times its weight",
-            f"at most {ACCELERATION * mass:.2g} N (is it in N?)",
-        )
-
-
-def _span(capture: Capture) -> str:
-    """The object's bounding box in words."""
-    bounds = capture.bounds
-    assert bounds is not None
-    low, high = (", ".join(f"{value:.4g}" for value in corner) for corner in bounds)
-    return f"the object, which spans ({low}) to ({high}) m"
-
-
 def _check_hold(where: str, capture: Capture, hold: Hold) -> None:
-    _check_material(f"{where}.box", capture, hold.box)
+    check_material(f"{where}.box", capture, hold.box)
     bounds, size = capture.bounds, capture.diagonal
     if bounds is None or size is None:
         return
     if (hold.box[0] <= bounds[0]).all() and (hold.box[1] >= bounds[1]).all():
-        raise fault(f"{where}.box", "holds the whole object", f"some of it to be free: {_span(capture)}")
+        raise fault(f"{where}.box", "holds the whole object", f"some of it to be free: {span(capture)}")
     if hold.position is not None:
         frames = np.arange(len(hold.position))
         rotation, position = hold.poses(frames, 1.0)
@@ -219,7 +168,7 @@ def _check_markers(where: str, capture: Capture, sequence: Sequence, markers: Ma
         raise fault(
             f"{where}.at[{worst}]",
             f"lies {far[worst]:.3g} m from the object",
-            f"places on or near {_span(capture)} (is it in m, in the object frame?)",
+            f"places on or near {span(capture)} (is it in m, in the object frame?)",
         )
     spread = float(np.linalg.norm(np.ptp(markers.at, axis=0)))
     if len(markers.at) > 1 and spread < size / 500:

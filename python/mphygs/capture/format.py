@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mphygs.capture.actuators import Actuator, is_actuator, read_actuator
 from mphygs.capture.checks import check_capture
 from mphygs.capture.document import Entry, read_document
 from mphygs.capture.errors import CaptureError, fault
@@ -182,6 +183,10 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
             raise given.wrong(f"a frame of the file, 0 to {MOST_FRAMES}")
     start = _read_start(entry.get("start"), release)
     held, loads, markers, views = (entry.get(key) for key in ("held", "loads", "markers", "views"))
+    acting = [
+        read_actuator(folder, item, frames, number) if is_actuator(item) else read_load(item, frames)
+        for number, item in enumerate(loads.elements() if loads else ())
+    ]
     sensors = entry.get("sensors")
     holds = tuple(read_hold(folder, item, frames) for item in held.elements()) if held else ()
     seen = views_inside(folder, views) if views else None
@@ -192,7 +197,8 @@ def _read_sequence(folder: Path, entry: Entry) -> Sequence:
         fit=_read_range(entry.get("fit"), frames),
         predict=_read_range(entry.get("predict"), frames),
         held=holds,
-        loads=tuple(read_load(item, frames) for item in loads.elements()) if loads else (),
+        loads=tuple(given for given in acting if isinstance(given, Load)),
+        actuators=tuple(given for given in acting if isinstance(given, Actuator)),
         release=release,
         markers=read_markers(
             folder, markers, fps=fps, frames=frames, release=release, first=first, start=start

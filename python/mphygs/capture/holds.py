@@ -119,11 +119,19 @@ def read_hold(folder: Path, entry: Entry, frames: int) -> Hold:
 def read_load(entry: Entry, frames: int) -> Load:
     """The load that an element of `loads` describes."""
     entry.check_keys(required=("box", "force", "from"), optional=("until",))
-    start, end = entry["from"].integer(), None
-    if not 0 <= start < frames:
-        raise entry["from"].wrong(f"a frame of the sequence, 0 to {frames - 1}")
+    start, end = read_frames(entry, frames)
+    return Load(read_box(entry["box"]), entry["force"].array((3,), most=_STRONGEST), start, end)
+
+
+def read_frames(entry: Entry, frames: int, default: int | None = None) -> tuple[int, int | None]:
+    """The frames from and until which a load acts. default: where "from" is not given, None: it must be."""
+    start, end = default, None
+    if start is None or entry.get("from"):
+        start = entry["from"].integer()
+        if not 0 <= start < frames:
+            raise entry["from"].wrong(f"a frame of the sequence, 0 to {frames - 1}")
     if given := entry.get("until"):
         end = given.integer()
         if not start < end <= frames:
             raise given.wrong(f'a frame after "from", {start + 1} to {frames}')
-    return Load(read_box(entry["box"]), entry["force"].array((3,), most=_STRONGEST), start, end)
+    return start, end

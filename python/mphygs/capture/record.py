@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mphygs.capture.actuators import Actuator
 from mphygs.capture.holds import Hold, Load
 from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
@@ -30,12 +31,14 @@ class Known:
 class Sequence:
     """One recorded motion. Frame k is at t = k / fps [s]; ranges [a, b) exclude b.
 
-    fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); release: all points are held at
-    rest until this frame; views: the folder of the measured video, views_scale metres per unit of its
-    cameras' places; first_frame: of the files' frames, the one that is frame 0, None where it is the first
-    and they are no longer; turn: (3, 3) rotation from the frame that the sequence is told in to the one that
-    gravity is told in, None where they are one; start: "rest" where the object rests in frame 0, "measured"
-    where it is away from rest or moves then, None: as the first frames show; sensors: other instruments.
+    fit: frames to fit on; predict: frames kept for prediction ((0, 0): none); loads: constant forces;
+    release: all points are held at rest until this frame; views: the folder of the measured video,
+    views_scale metres per unit of its cameras' places; first_frame: of the files' frames, the one that is
+    frame 0, None where it is the first and they are no longer; turn: (3, 3) rotation from the frame that the
+    sequence is told in to the one that gravity is told in, None where they are one; start: "rest" where the
+    object rests in frame 0, "measured" where it is away from rest or moves then, None: as the first frames
+    show; actuators: loads whose numbers are given frame by frame; sensors: other
+    instruments.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Sequence:
     turn: np.ndarray | None = None
     start: str | None = None
     sensors: tuple[Sensor, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mphygs.capture.actuators import Actuator, Force, Pressure, Tendon
 from mphygs.capture.checks import check_capture
 from mphygs.capture.meshes import write_mesh
 from mphygs.capture.record import Capture, Sequence
@@ -76,12 +77,12 @@ def _write_sequence(sequence: Sequence, folder: Path) -> dict[str, object]:
         "predict": list(sequence.predict),
         "held": held,
     }
-    if sequence.loads:
+    if sequence.loads or sequence.actuators:
         document["loads"] = [
             {"box": load.box.tolist(), "force": load.force.tolist(), "from": load.start_frame}
             | ({} if load.end_frame is None else {"until": load.end_frame})
             for load in sequence.loads
-        ]
+        ] + [_write_actuator(actuator, sequence.name, folder) for actuator in sequence.actuators]
     if sequence.start is not None:
         document["start"] = sequence.start
     if sequence.release is not None:
@@ -114,6 +115,24 @@ def _write_sensor(sensor: Sensor, folder: Path, file: str) -> dict[str, object]:
         document |= {"at": np.asarray(sensor.at).tolist(), "gravity": sensor.gravity}
     stated = zip(("sigma", "torque_sigma"), sensor.sigma.tolist(), strict=False)
     return document | {key: sigma for key, sigma in stated if np.isfinite(sigma)}
+
+
+def _write_actuator(actuator: Actuator, sequence: str, folder: Path) -> dict[str, object]:
+    file = f"{sequence}_{actuator.name}.npz"
+    replace_arrays(folder / file, {actuator.array: actuator.values})
+    entry: dict[str, object] = {"name": actuator.name}
+    if isinstance(actuator, Force):
+        entry |= {"box": actuator.box.tolist(), "force": file}
+    elif isinstance(actuator, Pressure):
+        patch: dict[str, object] = {} if actuator.part is None else {"part": actuator.part}
+        patch |= {} if actuator.box is None else {"box": actuator.box.tolist()}
+        entry |= {"patch": patch, "pressure": file}
+    elif isinstance(actuator, Tendon):
+        entry |= {"tendon": actuator.path.tolist(), "tension": file}
+        entry |= {} if actuator.anchor is None else {"anchor": actuator.anchor.tolist()}
+    entry["from"] = actuator.start_frame
+    entry |= {} if actuator.end_frame is None else {"until": actuator.end_frame}
+    return entry | ({"unknown": list(actuator.unknown)} if actuator.unknown else {})
 
 
 def _copy(source: Path, target: Path) -> str:

@@ -77,7 +77,7 @@ def candidate_motions(
                 position, quaternion = hold_poses([motion], times, pivot)
                 held = tuple(replace(h, position=position, quaternion=quaternion) for h in recording.held)
                 own = replace(recording, frames=frames, fit=(0, frames), predict=(0, 0), held=held)
-                found[text] = replace(own, loads=(), release=None, sensors=())
+                found[text] = replace(own, loads=(), actuators=(), release=None, sensors=())
     return found
 
 

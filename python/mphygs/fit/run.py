@@ -187,6 +187,9 @@ def digest_of(capture: Capture) -> str:
         )
         for hold in recording.held:
             add(np.asarray(hold.box), hold.position, hold.quaternion)
+        for actuator in recording.actuators:
+            add(type(actuator).__name__, actuator.name, actuator.values, *actuator.places.values())
+            add(actuator.start_frame, actuator.end_frame, actuator.unknown, getattr(actuator, "part", None))
         for load in recording.loads:
             add(np.asarray(load.box), np.asarray(load.force), load.start_frame)
             if load.end_frame is not None:

@@ -126,7 +126,10 @@ def _longer(recording: Recording, factor: float) -> Recording:
     if markers is not None:
         markers = replace(markers, at=markers.at * factor, position=np.asarray(markers.position) * factor)
     sensors = tuple(s if s.at is None else replace(s, at=s.at * factor) for s in recording.sensors)
-    return replace(recording, held=held, loads=loads, markers=markers, sensors=sensors)
+    actuators = tuple(actuator.longer(factor) for actuator in recording.actuators)
+    return replace(
+        recording, held=held, loads=loads, actuators=actuators, markers=markers, sensors=sensors
+    )
 
 
 def _thicker(part: Part, factor: float) -> Part:

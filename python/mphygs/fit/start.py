@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from mphygs.capture.format import Capture
+from mphygs.fit.actuators import actuator_parameters
 from mphygs.fit.first_frames import start_parameters
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW, material_effects
@@ -111,6 +112,7 @@ def starting_belief(
                 )
             )
         parameters += start_parameters(capture, recording)
+    parameters += actuator_parameters(capture)
     mode = prestress or ("equilibrium" if capture.rest == "equilibrium" else "off")
     belief = Belief(
         tuple(part.name for part in capture.parts),

@@ -57,7 +57,7 @@ def exposed_surface(
         ]
         triangles = part.vertices[part.faces]
         for box in [*boxes, *(bounds[other] for other in near)]:
-            triangles = _cut_by_box(triangles, box, reach)
+            triangles = cut_by_box(triangles, box, reach)
         points, area, normal = _divide(triangles, max_edge)
         kept = np.ones(len(points), dtype=bool)
         for box in boxes:
@@ -67,7 +67,7 @@ def exposed_surface(
             low, high = bounds[other] + np.array([[-reach], [reach]])
             close = np.all((points >= low) & (points <= high), axis=1)
             asked = np.flatnonzero(kept & close)
-            kept[asked] = ~_touches(parts[other], points[asked], normal[asked], reach)
+            kept[asked] = ~covered_by(parts[other], points[asked], normal[asked], reach)
         pieces.append((points[kept], area[kept], normal[kept], np.full(int(kept.sum()), number)))
     if not pieces:
         return SurfaceSamples(np.empty((0, 3)), np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int64))
@@ -78,7 +78,7 @@ def _overlap(one: np.ndarray, other: np.ndarray, reach: float) -> bool:
     return bool(np.all(one[0] <= other[1] + reach) and np.all(other[0] <= one[1] + reach))
 
 
-def _touches(part: Part, points: np.ndarray, normal: np.ndarray, reach: float) -> np.ndarray:
+def covered_by(part: Part, points: np.ndarray, normal: np.ndarray, reach: float) -> np.ndarray:
     """Whether material of a part lies on the points or just outside of them."""
     covered = inside(part, points + reach * normal)
     rest = np.flatnonzero(~covered)
@@ -86,7 +86,7 @@ def _touches(part: Part, points: np.ndarray, normal: np.ndarray, reach: float) -
     return covered
 
 
-def _cut_by_box(triangles: np.ndarray, box: np.ndarray, reach: float) -> np.ndarray:
+def cut_by_box(triangles: np.ndarray, box: np.ndarray, reach: float) -> np.ndarray:
     """The same surface with no triangle reaching across a face of the box; triangles (T, 3, 3).
 
     Triangles that stop short of the box by less than reach [m] are cut as well.
@@ -95,12 +95,14 @@ def _cut_by_box(triangles: np.ndarray, box: np.ndarray, reach: float) -> np.ndar
         for end in range(2):
             low, high = triangles.min(axis=1), triangles.max(axis=1)
             met = np.all((high >= box[0] - reach) & (low <= box[1] + reach), axis=1)
-            cut = _cut_by_plane(triangles[met], axis, float(box[end, axis]), 1e-6 * reach)
+            cut = cut_by_plane(triangles[met], axis, float(box[end, axis]), 1e-6 * reach)
             triangles = np.concatenate([triangles[~met], cut])
     return triangles
 
 
-def _cut_by_plane(triangles: np.ndarray, axis: int, coordinate: float, tolerance: float) -> np.ndarray:
+def cut_by_plane(triangles: np.ndarray, axis: int, coordinate: float, tolerance: float) -> np.ndarray:
+    """The same surface with no triangle reaching across a plane; triangles (T, 3, 3); corners within
+    tolerance [m] are on it."""
     height = triangles[:, :, axis] - coordinate
     height = np.where(np.abs(height) <= tolerance, 0.0, height)
     above, below = (height > 0.0).sum(axis=1), (height < 0.0).sum(axis=1)

@@ -10,6 +10,7 @@ from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
 from mphygs import _core
+from mphygs.capture.actuators import Force
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate import core_runs
@@ -43,7 +44,7 @@ class MaterialPoints(Transfer):
         kind = _core.MlsMpmFloat32 if self.settings.number == np.float32 else _core.MlsMpmFloat64
         points = self.body.geometry["points"]
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-        geometry = dict(self.body.geometry)
+        geometry = self.body.geometry | self._actuation
         if len(spots):
             geometry |= {"places": spots, "place_particle": self.body.nearest_free(spots).astype(np.int32)}
         settings = {
@@ -98,7 +99,11 @@ class MaterialPoints(Transfer):
             self._grid_model, self.grid_body, weights, rows, markers, particles, self.settings.spacing
         )
 
-    def load_share(self, load: Load) -> np.ndarray:
+    def point_rows(self, points: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        index, value, _ = self._weights(points, part)
+        return index, value
+
+    def load_share(self, load: Load | Force) -> np.ndarray:
         inside, share = self.body.inside(load.box)
         out = np.zeros(len(inside))
         out[inside] = share

@@ -22,7 +22,7 @@ from mphygs.simulate.user_forces import UserForces
 
 FIELD_NAMES = (
     "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
-    "gravity", "displacement0", "velocity0", "node_force", "pose", "target",
+    "gravity", "displacement0", "velocity0", "node_force", "pose", "target", "channel",
 )  # fmt: skip
 NO_SECOND_DERIVATIVE = (
     "a rollout has first derivatives only: expected backward() without create_graph, one forward level"

@@ -16,6 +16,7 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import FORCE
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
+from mphygs.simulate.actuation import Actuation, acts_by_channels
 from mphygs.simulate.batches import Batch, Owned, batches_of
 from mphygs.simulate.body import Body, discretise, hold_boxes
 from mphygs.simulate.carried import Carriers
@@ -70,6 +71,9 @@ class Predictor:
         self._pulls: dict[float, Feedback] = {}
         self._halt: Event | None = None
         self._start = MeasuredStart(capture, recording, self.transfer)
+        self.actuation = Actuation(recording, self.transfer)
+        if self.actuation.core is not None:
+            self.transfer.actuate(self.actuation.core)
 
     def twin(self, workers: int, halt: Event | None = None) -> Predictor:
         """The same predictor, for another thread: of the same body, with models of its own.
@@ -129,6 +133,8 @@ class Predictor:
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         active = list(core_effects(belief))
         fields["effect"] = _core.worst_case(fields["effect"], active)
+        if self.actuation.core is not None:
+            fields["channel"] = self.actuation.largest(belief)
         stiffness, damping = self.transfer.largest_rates(model, fields, self._hook(belief, fields))
         stiffness *= _core.stiffness_factor(fields["effect"], active)
         limit = (-damping + np.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
@@ -187,6 +193,8 @@ class Predictor:
                 (mass,) = belief.values_of(name).values()
                 force = force + mass * self._lift(belief, name, timeline)
             fields["node_force"] = force
+        if self.actuation.core is not None:
+            fields["channel"] = self.actuation.channels(belief, timeline)
         return fields
 
     def _loads(self, timeline: Timeline) -> np.ndarray:
@@ -218,10 +226,15 @@ class Predictor:
             direction(owner, self.body, parameter)
             if acts_in_simulation(parameter)
             and start_sequence(parameter) is None
+            and not acts_by_channels(parameter)
             and not is_absent(owner, parameter, here)
             else {}
             for owner, parameter in owned
         ]
+        for change, (owner, parameter) in zip(changes, owned, strict=True):
+            moved = self.actuation.change(owner, parameter, timeline)
+            if moved is not None:
+                change["channel"] = moved
         for change, (owner, parameter) in zip(changes, owned, strict=True):
             name = parameter.key.rsplit(".", 1)[0]
             if "place_mass" in change and name in stated_weights(owner):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix
 
+from mphygs.capture.actuators import Force
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW
@@ -33,8 +34,9 @@ class TotalLagrangian(Transfer):
         return self.body
 
     def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
+        body = with_places(self.body, spots)
         return core_model(
-            with_places(self.body, spots),
+            replace(body, geometry=body.geometry | self._actuation) if self._actuation else body,
             active=active,
             dtype=self.settings.number,
             law=law,
@@ -62,7 +64,11 @@ class TotalLagrangian(Transfer):
     ) -> tuple[csr_matrix | bsr_matrix, np.ndarray | None]:
         return on_nodes(self._plain(), self.body, rows, markers, self.settings.spacing), None
 
-    def load_share(self, load: Load) -> np.ndarray:
+    def point_rows(self, points: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        node, value, _ = self._plain().weights(points, self.body.nearest_cell(points, part))
+        return node, value
+
+    def load_share(self, load: Load | Force) -> np.ndarray:
         q, model = self.body.quadrature, self._plain()
         inside, share = self.body.inside(load.box)
         node, value, _ = model.weights(q.points.reshape(-1, 3)[inside], self.body.point_cell[inside])

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix
 
+from mphygs.capture.actuators import Force
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.body import Attachment, Body
@@ -47,11 +48,17 @@ class Transfer(ABC):
     def __init__(self, body: Body, settings: Settings) -> None:
         self.body, self.settings = body, settings
         self._models: dict = {}
+        self._actuation: dict[str, object] = {}
         self.forget()
 
     def share(self, model: object, threads: int) -> None:
         """Let so many threads share the work of the model's next runs; not while one is under way."""
         model.threads = threads
+
+    def actuate(self, actuation: dict[str, object]) -> None:
+        """Let the models from now on have loads that follow the object, as the core takes them."""
+        self._actuation = {"actuation": actuation}
+        self._models = {}
 
     def forget(self) -> None:
         """Drop what the rest shape remembers of its last solution."""
@@ -95,8 +102,12 @@ class Transfer(ABC):
         """
 
     @abstractmethod
-    def load_share(self, load: Load) -> np.ndarray:
+    def load_share(self, load: Load | Force) -> np.ndarray:
         """(N,) share of a known load on every carrier."""
+
+    @abstractmethod
+    def point_rows(self, points: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Carriers (M, K) by which material points (M, 3) [m] of parts (M,) go along, and their weights."""
 
     @abstractmethod
     def point_share(self, place: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import tyro
 
 from mphygs.claim import claim_capture
 from mphygs.command import Answer, CommonOptions, Console, OptionError, names, run
+from mphygs.synth.drive import Drive
 from mphygs.synth.faults import DEFAULTS as FAULTS
 from mphygs.synth.flower.__main__ import main as flower
 from mphygs.synth.make import make_capture
@@ -54,6 +55,9 @@ class SynthOptions(CommonOptions):
     start: Literal["rest", "pulled", "moving"] = "rest"
     """rest: the motion begins at rest; pulled: frame 0 is where the object, pulled aside, is let go; moving:
     frame 0 is in the midst of a movement of the hold."""
+    drive: str | None = None
+    """What moves a bar whose hold stands still, and the capture states frame by frame: tendon or pressure;
+    tendon:gain=0.8:delay=0.01 arrives so much weaker and later than stated, and leaves both to be found."""
     noise: Literal[NOISES] = "white"
     """White, or half its variance correlated in time, or half of it common to all markers of a frame, or half
     of it that of values rounded to a grid; or white, but with heavy tails, or growing fourfold."""
@@ -127,7 +131,11 @@ def _recipe(options: SynthOptions) -> Recipe:
         seed=options.seed,
         noise=Noise(options.noise, options.sigma, dropout=options.dropout),
         takes=default_takes(
-            shape(kind), frames=options.frames, kinds=names(options.motion), start=options.start
+            shape(kind),
+            frames=options.frames,
+            kinds=names(options.motion),
+            start=options.start,
+            drive=None if options.drive is None else Drive.parse(options.drive),
         ),
         marker_count=options.markers,
         spacing_share=options.spacing_share,

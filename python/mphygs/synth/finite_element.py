@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from mphygs.capture.actuators import Force
 from mphygs.capture.format import Capture, Load
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import ACCELERATION, Sensor
@@ -14,6 +15,7 @@ from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 from mphygs.synth.brick_mesh import SAME, brick_mesh
 from mphygs.synth.causes import CAUSES, Material
+from mphygs.synth.finite_element_drive import Driven
 from mphygs.synth.finite_element_rest import stiffness, unloaded
 from mphygs.synth.finite_element_stress import MaterialStress, Values, cofactor, published, times, transposed
 from mphygs.synth.hidden import Hidden
@@ -87,6 +89,11 @@ class _Body:
              math.inf if load.end_frame is None else load.end_frame / recording.fps)
             for load in recording.loads
         ]  # fmt: skip
+        self.drives = [
+            Driven(actuator, mesh, self.hold, capture.parts, recording.fps,
+                   self._share(actuator.box) if isinstance(actuator, Force) else None)
+            for actuator in recording.actuators
+        ]  # fmt: skip
         self.causes = [
             (h, np.repeat(mesh.part == names.index(str(h.settings["part"])), 27) if "part" in h.settings
              else np.ones(27 * len(mesh.part), bool))
@@ -112,10 +119,14 @@ class _Body:
 
     def _spread(self, load: Load) -> np.ndarray:
         """(N, 3) [N] of a known load, by the volume about the nodes in its box."""
-        mesh, (low, high) = self.mesh, load.box
+        return self._share(load.box)[:, None] * load.force
+
+    def _share(self, box: np.ndarray) -> np.ndarray:
+        """(N,) of the nodes in a box, by the volume about them."""
+        mesh, (low, high) = self.mesh, box
         within = np.all((mesh.nodes >= low - SAME) & (mesh.nodes <= high + SAME), axis=1)
         share = (mesh.gather @ mesh.node_volume.ravel()) * within
-        return share[:, None] / share.sum() * load.force
+        return share / share.sum()
 
     def _strain(self, mu: np.ndarray, lame: np.ndarray) -> None:
         """The strain in which loads at rest keep the published shape; mu, lame: (E, 27) [Pa]."""
@@ -268,6 +279,8 @@ class _Body:
             # Of the step in which it starts or ends, by its middle.
             if begin <= time + 0.5 * dt < end:
                 force = force + pull
+        for drive in self.drives:
+            force = force + drive.force(x, time)
         if "contact" in self.effects:
             force = force + self._friction(x, v, force, dt)
         result = force / self.mass[:, None]

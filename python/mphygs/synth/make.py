@@ -13,6 +13,7 @@ import numpy as np
 from mphygs.capture.format import Capture, Hold, Known, Load, Markers, save_capture
 from mphygs.capture.motions import hold_poses, ramp
 from mphygs.capture.record import Sequence as Recording
+from mphygs.synth.drive import arriving, stated
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
@@ -134,7 +135,9 @@ def _bare_capture(recipe: Recipe, folder: Path, places: np.ndarray) -> Capture:
 def _whole(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -> Recording:
     """One take without measurements, `extra` frames longer, with what the capture does not show of it."""
     whole = replace(take, frames=take.cut + take.frames)
-    return replace(_recording(recipe, whole, places, extra), loads=_pulling(recipe.shape, take))
+    recording = _recording(recipe, whole, places, extra)
+    acting = tuple(arriving(take.drive, a, take.fps) for a in recording.actuators)
+    return replace(recording, loads=_pulling(recipe.shape, take), actuators=acting)
 
 
 def _pulling(shape: Shape, take: Take) -> tuple[Load, ...]:
@@ -170,6 +173,12 @@ def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -
     hold = Hold(shape.hold)
     if take.motions:
         hold = Hold(shape.hold, *hold_poses(take.motions, np.arange(frames) / take.fps, shape.pivot))
+    driven = ()
+    if take.drive is not None:
+        stiffness = {name: material.youngs_modulus for name, material in recipe.materials.items()}
+        times = np.maximum(np.arange(frames) - (take.release or 0), 0) / take.fps
+        number = [t.name for t in recipe.takes].index(take.name)
+        driven = (stated(take.drive, shape, stiffness, times, number),)
     unseen = Markers(np.full((frames, len(places), 3), np.nan), places, recipe.noise.sigma)
     return Recording(
         take.name,
@@ -181,6 +190,7 @@ def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -
         release=take.release,
         markers=unseen,
         sensors=unmeasured(recipe.sensors, shape, frames),
+        actuators=driven,
     )
 
 
@@ -250,6 +260,7 @@ def _answer(
         "sensors": dict(recipe.sensors),
         "seed": recipe.seed,
         "markers": recipe.marker_count,
+        "drives": [None if take.drive is None else asdict(take.drive) for take in recipe.takes],
         "motions": [[asdict(m) for m in take.motions] for take in recipe.takes],
         "signal_over_noise": differences[0]["signal_over_noise"] if differences else None,
         "rms_difference_m": differences[0]["rms_difference_m"] if differences else None,

@@ -9,6 +9,7 @@ import numpy as np
 
 from mphygs.capture.motions import Motion
 from mphygs.simulate.settings import TRANSFERS
+from mphygs.synth.drive import Drive
 from mphygs.synth.hidden import Hidden, parse
 from mphygs.synth.instruments import parse_sensors
 from mphygs.synth.markers import Noise
@@ -31,7 +32,8 @@ class Material:
 class Take:
     """One recorded motion. fit, predict: frame ranges; release: all points rest until this frame; cut: frames
     of the motion before frame 0, which the capture does not show, the release among them; pull: (3,) force
-    [N] that grows over these on what is about the tip, and is gone with frame 0."""
+    [N] that grows over these on what is about the tip, and is gone with frame 0; drive: a load of the object
+    that the capture states."""
 
     name: str
     motions: tuple[Motion, ...]
@@ -42,6 +44,7 @@ class Take:
     release: int | None = None
     cut: int = 0
     pull: tuple[float, float, float] | None = None
+    drive: Drive | None = None
 
 
 # How a motion begins: from rest, let go where it was pulled aside, or in the midst of a movement of its hold.
@@ -128,15 +131,23 @@ def usual_motion(kind: str, lying: bool) -> Motion:
 
 
 def default_takes(
-    kind: Shape, *, frames: int = 80, kinds: tuple[str, ...] = (), start: str = "rest"
+    kind: Shape,
+    *,
+    frames: int = 80,
+    kinds: tuple[str, ...] = (),
+    start: str = "rest",
+    drive: Drive | None = None,
 ) -> tuple[Take, ...]:
     """Two motions for an object, one to fit and one for prediction only.
 
     kinds: movements of the first, as of `usual_motion`; none: as suits the object; start: of both, as in
-    STARTS. An object that is free of stress at rest is let go at frame 2. Raises ValueError for others.
+    STARTS; drive: what moves the object in place of its hold. An object that is free of stress at rest is let
+    go at frame 2. Raises ValueError for others.
     """
     if start not in STARTS:
         raise ValueError(f"start '{start}': expected one of {', '.join(STARTS)}")
+    if drive is not None and (start != "rest" or kinds):
+        raise ValueError("drive: the hold stands still and the motion begins at rest; expected neither else")
     lying = kind.rest == "stress-free"
     fps, release = (60.0, 2) if lying else (30.0, None)
     first = kinds or (("shift",) if lying else ("shake", "turn"))
@@ -147,7 +158,7 @@ def default_takes(
         ("a", first, (0, split), (split, frames), 1.0),
         ("b", second, (0, 0), (0, frames), -1.0),
     ):
-        moved = tuple(usual_motion(k, lying) for k in movements)
+        moved = () if drive else tuple(usual_motion(k, lying) for k in movements)
         cut, pull = 0, None
         if start == "pulled":
             weight = 9.81 * sum(kind.density[part.name] * part.volume for part in kind.parts)
@@ -156,7 +167,7 @@ def default_takes(
             moved, cut = (), round(PULLED * fps)
         elif start == "moving":
             cut = round(fps * (moved[0].start + MIDST * (moved[0].stop - moved[0].start)))
-        takes.append(Take(name, moved, fps, frames, fit, predict, release, cut, pull))
+        takes.append(Take(name, moved, fps, frames, fit, predict, release, cut, pull, drive))
     return tuple(takes)
 
 

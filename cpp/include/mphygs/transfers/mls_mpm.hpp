@@ -41,6 +41,7 @@ struct MlsGeometry {
     int hold_count = 0;
     std::vector<double> hold_centre;  // (H, 3) about which torques are told [m]; needed for reactions only
     int part_count = 1;
+    Actuation actuation;  // loads that change with time and follow the object; its carriers are the particles
 
     std::size_t particle_count() const { return part.size(); }
     std::size_t place_count() const { return places.size() / 3; }
@@ -103,7 +104,7 @@ class MlsMpm {
                        long* recomputed = nullptr, const Observer* observer = nullptr) const;
 
     /// Largest squared natural frequency [1/s^2] and largest damping rate [1/s] of the grid
-    /// linearised at rest, by power iteration: symplectic Euler needs dt < 2/omega and dt < 2/rate.
+    /// linearised at rest, channels of an actuation as at the start of one interval, by power iteration: symplectic Euler needs dt < 2/omega and dt < 2/rate.
     std::array<double, 2> largest_rates(const Fields<T>& fields, int iterations = 60) const;
 
     /// Checks the sizes of all inputs; std::invalid_argument names the one that is wrong.
@@ -115,7 +116,11 @@ class MlsMpm {
     template <class U, int K>
     friend class MlsMpmRun;
     template <class U, int K>
+    friend class MlsAhead;
+    template <class U, int K>
     friend class MlsPulls;
+    template <class U, int K>
+    friend class MlsActuation;
     template <class U>
     friend class MlsStepReverse;
     template <class U>

@@ -130,6 +130,12 @@ class MlsMpmReverse : public MlsStepReverse<T> {
             run_.pulls_->see_start(record.moving.data(), run_.start_velocity_);
             run_.pulls_->spread(*run_.team_);
         }
+        if (run_.actuation_) {
+            run_.actuation_->enter(0);
+            run_.follow_loads(record.order);
+            run_.actuation_->see_start(record.moving.data(), run_.start_velocity_);
+            run_.actuation_->spread();
+        }
         clear_sums();
         start_tiles(record, [&](std::size_t c, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
             if (!grid.empty()) {
@@ -147,6 +153,10 @@ class MlsMpmReverse : public MlsStepReverse<T> {
         if (pulled) {
             run_.pulls_->reverse(given_bar_, target_bar_);
             run_.pulls_->unsee_start(bars_.data(), v_bar_);
+        }
+        if (run_.actuation_) {
+            run_.actuation_->reverse(pushed_bar_, channel_bar_, pose_bar_);
+            run_.actuation_->unsee_start(bars_.data(), v_bar_);
         }
         for (int round = run_.start_rounds() - 1; round >= 0; --round) {
             // C of the next round was gathered from this grid ...
@@ -283,13 +293,14 @@ class MlsMpmReverse : public MlsStepReverse<T> {
         out.node_force = forces_.node_force_bar;
         out.pose = narrow(pose_bar_);
         out.target = narrow(target_bar_);
+        out.channel = narrow(channel_bar_);
         return out;
     }
 
     using Steps::add_seeds, Steps::add_slope, Steps::add_sums, Steps::bar_, Steps::bar_grid_, Steps::bar_order_, Steps::bars_;
-    using Steps::clear_sums, Steps::fields_, Steps::flush, Steps::forces_, Steps::given_bar_, Steps::gravity_bar_, Steps::grid_bar, Steps::grids_;
+    using Steps::channel_bar_, Steps::clear_sums, Steps::fields_, Steps::flush, Steps::forces_, Steps::given_bar_, Steps::gravity_bar_, Steps::grid_bar, Steps::grids_;
     using Steps::inside, Steps::lambda_, Steps::mass_, Steps::model_, Steps::mu_, Steps::own_mass_, Steps::parameter_bar_;
-    using Steps::particles_, Steps::pose_bar_, Steps::reverse_given, Steps::reverse_step, Steps::run_, Steps::table_;
+    using Steps::particles_, Steps::pose_bar_, Steps::pushed_bar_, Steps::reverse_given, Steps::reverse_step, Steps::run_, Steps::table_;
     using Steps::target_bar_, Steps::volume_;
 
     ParticleTrajectory<T> trajectory_;

@@ -13,6 +13,7 @@
 #include "mphygs/transfers/mls_mpm_grids.hpp"
 #include "mphygs/transfers/mls_mpm_particles.hpp"
 #include "mphygs/transfers/mls_mpm_plain.hpp"
+#include "mphygs/transfers/mls_mpm_actuation.hpp"
 #include "mphygs/transfers/mls_mpm_pulls.hpp"
 
 namespace mphygs {
@@ -36,6 +37,9 @@ class MlsMpmRun : public MlsParticles<T, K> {
         start_velocity_ = velocity_;
         if (inputs.observer) {
             pulls_.emplace(model, inputs_, schedule, table_);
+        }
+        if (!inputs.primal->channel.empty()) {
+            actuation_.emplace(model, inputs_, schedule, table_);
         }
     }
 
@@ -67,6 +71,12 @@ class MlsMpmRun : public MlsParticles<T, K> {
                 follow(state_.order);
                 pulls_->see_start(state_.moving.data(), start_velocity_);
                 pulls_->spread(*team_);
+            }
+            if (actuation_) {
+                actuation_->enter(0);
+                follow_loads(state_.order);
+                actuation_->see_start(state_.moving.data(), start_velocity_);
+                actuation_->spread();
             }
         }
         grids_.prepare(box, state_.ranges);
@@ -137,12 +147,18 @@ class MlsMpmRun : public MlsParticles<T, K> {
         }
     }
 
-    /// Finds what the observer gives at n + 1, from the state at n.
+    /// Finds what the observer and the loads give at n + 1, from the state at n.
     void look(int n, const std::shared_ptr<const MlsOrder<T>>& order, const T* moving, const T* grid, const Box& box) {
         if (pulls_ && pulls_->enter(n + 1)) {
             follow(order);
             pulls_->see(moving, grid, box, static_cast<T>(table_.dt[static_cast<std::size_t>(n)]));
             pulls_->spread(*team_);
+        }
+        if (actuation_) {
+            actuation_->enter(n + 1);
+            follow_loads(order);
+            actuation_->see(moving, grid, box, static_cast<T>(table_.dt[static_cast<std::size_t>(n)]));
+            actuation_->spread();
         }
     }
 
@@ -158,6 +174,14 @@ class MlsMpmRun : public MlsParticles<T, K> {
         state_.grid.assign(lanes * numbers + 4, T{});
         std::copy(field.begin(), field.end(), state_.grid.begin() + static_cast<std::ptrdiff_t>(numbers));
         grids_.prepare(box, state_.ranges);
+        if (actuation_ && !rates) {
+            actuation_->enter(0);
+            follow_loads(state_.order);
+            actuation_->see(state_.moving.data(), state_.grid.data(), box, T(1));
+            actuation_->spread(false);
+        } else {
+            actuation_.reset();  // loads do not look at velocities
+        }
         std::vector<T> history = state_.history;
         for (std::size_t c = 0; c < state_.ranges.size(); ++c) {
             const CellRange inside = limits(c, box, 0);
@@ -272,13 +296,19 @@ class MlsMpmRun : public MlsParticles<T, K> {
     }
 
     bool pulling() const { return pulls_ && pulls_->pulling(); }
+    void follow_loads(const std::shared_ptr<const MlsOrder<T>>& order) {
+        actuation_->follow(order, static_cast<std::size_t>(model_.chunk_count_), [this](std::size_t c) { return chunk_begin(c); });
+    }
     void follow(const std::shared_ptr<const MlsOrder<T>>& order) {
         pulls_->follow(order, static_cast<std::size_t>(model_.chunk_count_), [this](std::size_t c) { return chunk_begin(c); });
     }
-    /// Adds what the observer gives to eight particles.
+    /// Adds what the observer and the loads give to eight particles.
     void pull(const MlsOrder<T>& order, std::size_t first, Vec3<S>& momentum) const {
         if (pulling()) {
             momentum = momentum + forces_.fixed(order, fixed_mass, first) * pulls_->given(first);
+        }
+        if (actuation_) {
+            actuation_->give(first, momentum);
         }
     }
     /// The same for a hot tile.
@@ -287,6 +317,12 @@ class MlsMpmRun : public MlsParticles<T, K> {
             const T* given = pulls_->values(first, c);
             for (std::size_t p = 0; p < tile_size; ++p) {
                 tile.q[0][c][p] += tile.mass[0][p] * given[p];
+            }
+        }
+        for (std::size_t c = 0; actuation_ && c < 3; ++c) {
+            const T* given = actuation_->values(first, c);
+            for (std::size_t p = 0; p < tile_size; ++p) {
+                tile.q[0][c][p] += given[p];
             }
         }
     }
@@ -456,6 +492,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
     Team* team_;
     MlsForces<T, K> forces_;
     std::optional<MlsPulls<T, K>> pulls_;
+    std::optional<MlsActuation<T, K>> actuation_;
     const Buffer<T>* from_ = nullptr;               // what moves, before the pass
     std::vector<T> start_velocity_, start_affine_;  // (lanes, 3 or 9, size)
     MlsGrids<T> grids_;

@@ -30,7 +30,9 @@ class MlsStepReverse {
         parameter_bar_.assign(static_cast<std::size_t>(Registry::parameter_count), 0.0);
         pose_bar_.assign(fields.pose.size(), 0.0);
         target_bar_.assign(fields.target.size(), 0.0);
+        channel_bar_.assign(fields.channel.size(), 0.0);
         given_bar_.assign(observer ? 3 * n : 0, T{});
+        pushed_bar_.assign(fields.channel.empty() ? 0 : 3 * n, T{});
     }
 
   protected:
@@ -131,6 +133,11 @@ class MlsStepReverse {
             run_.pulls_->unsee(record.moving.data(), record.grid.data(), record.box, static_cast<T>(table_.dt[static_cast<std::size_t>(n)]),
                                run_.inverse_spacing_, bars_.data(), [&](std::size_t c) { return grids_.private_grid(c); });
         }
+        if (forces && run_.actuation_) {
+            run_.actuation_->reverse(pushed_bar_, channel_bar_, pose_bar_);
+            run_.actuation_->unsee(record.moving.data(), record.grid.data(), record.box, static_cast<T>(table_.dt[static_cast<std::size_t>(n)]),
+                                   run_.inverse_spacing_, bars_.data(), [&](std::size_t c) { return grids_.private_grid(c); });
+        }
         grid_bar(record);
     }
 
@@ -219,6 +226,9 @@ class MlsStepReverse {
                 for (std::size_t a = 0; a < 3; ++a) {
                     store<T>(&given_bar_[a * order.size + p], mass * g.momentum[static_cast<int>(a)]);
                 }
+            }
+            for (std::size_t a = 0; run_.actuation_ && a < 3; ++a) {
+                store<T>(&pushed_bar_[a * order.size + p], g.momentum[static_cast<int>(a)]);
             }
         }
     }
@@ -315,6 +325,9 @@ class MlsStepReverse {
                         given_bar_[a * size + t + p] = plain.given.mass[0][p] * bar;
                         *particles_.at(fixed_mass, t + p) += bar * given[p];
                     }
+                }
+                for (std::size_t a = 0; run_.actuation_ && a < 3; ++a) {
+                    std::copy_n(plain.bars.q[0][a], tile_size, &pushed_bar_[a * size + t]);
                 }
                 run_.forces_.each_held_of_tile(*record.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
                     for (std::size_t a = 0; a < 3; ++a) {  // the hold's velocity stood in place of the particle's
@@ -432,8 +445,8 @@ class MlsStepReverse {
     Box bar_box_;
     std::vector<CellRange> bar_ranges_;
     std::vector<double> mu_, lambda_, volume_, mass_, own_mass_, parameter_bar_, pose_bar_;  // by the caller's number
-    std::vector<double> target_bar_;
-    std::vector<T> given_bar_;  // (3, size) of what the observer gave, where there is one
+    std::vector<double> target_bar_, channel_bar_;
+    std::vector<T> given_bar_, pushed_bar_;  // (3, size) of what the observer and the loads gave, where there are any
     double gravity_bar_[3] = {0, 0, 0};
 };
 

@@ -82,7 +82,7 @@ class TotalLagrangian {
     std::vector<T> rest_forces(const Fields<T>& fields) const;
 
     /// Largest squared natural frequency [1/s^2] and largest damping rate [1/s] of the
-    /// linearised model at rest, by power iteration.
+    /// linearised model at rest, by power iteration. Channels of an actuation are those of one interval, at its start.
     std::array<double, 2> largest_rates(const Fields<T>& fields, int iterations = 60, const PointHook<T>* hook = nullptr) const;
 
     /// Checks the sizes of all inputs; std::invalid_argument names the one that is wrong.

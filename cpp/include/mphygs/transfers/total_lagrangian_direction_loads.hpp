@@ -42,6 +42,29 @@ inline void TotalLagrangianDirections<T, L>::place_forces(double time) {
     }
 }
 
+/// What tendons, pressures and known loads do more in every direction, at the values' state.
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::actuate(int n, int frame, double dt) {
+    if (!value_.actuation_) {
+        return;
+    }
+    ActuationStep& loads = *value_.actuation_;
+    const TargetBasis basis = value_.target_basis(n, frame, dt);
+    const auto enter = [&](const Fields<T>& fields) {
+        loads.channels_of(&fields.channel, static_cast<std::size_t>(frame), basis.value);
+        value_.pose_loads(loads, fields, n);
+    };
+    value_.look(loads, value_.u_.data(), stride_, 1);
+    enter(*value_.inputs_.primal);
+    loads.value();
+    for (std::size_t k = 0; k < directions_.size(); ++k) {
+        value_.look(loads, reinterpret_cast<const T*>(&u_[k / width * slab_]) + k % width, width, 3 * width);
+        enter(*directions_[k]);
+        loads.change();
+        value_.push(loads, reinterpret_cast<T*>(&f_[k / width * slab_]) + k % width, width, 3 * width);
+    }
+}
+
 /// What the hook is shown: all quadrature points in the caller's order, the values and then the directions.
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::hook_forces(double time, double dt) {

@@ -72,6 +72,7 @@ class TotalLagrangianDirections {
         place_forces(time);
         hook_forces(time, dt);
         known_forces(frame);
+        actuate(n, frame, dt);
         const bool pulls = value_.ask(n, frame, dt);
         if (pulls) {
             ask(n, frame, dt);
@@ -232,6 +233,7 @@ class TotalLagrangianDirections {
 
     void place_forces(double time);
     void hook_forces(double time, double dt);
+    void actuate(int n, int frame, double dt);
 
     /// What the observer's channels ask for in all directions, at the start of a substep [m/s^2].
     void ask(int n, int frame, double dt) {

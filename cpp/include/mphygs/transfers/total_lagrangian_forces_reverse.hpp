@@ -30,6 +30,7 @@ class TotalLagrangianForcesReverse {
         place_effect_bar_.assign(fields.place_effect.size(), 0.0);
         node_force_bar_.assign(fields.node_force.size(), T{});
         target_bar_.assign(fields.target.size(), 0.0);
+        channel_bar_.assign(fields.channel.size(), 0.0);
         pose_bar_.assign(fields.pose.size(), 0.0);
         for (const auto& c : model.chunks_) {
             chunk_bar_.emplace_back(6 * static_cast<std::size_t>(c.node_end - c.node_begin), T{});
@@ -390,7 +391,7 @@ class TotalLagrangianForcesReverse {
     std::vector<std::vector<double>> chunk_uniform_bar_;
     // Sums over thousands of substeps are kept in double.
     std::vector<double> mu_bar_, lambda_bar_, volume_bar_, mass_bar_, deformation0_bar_, inverse_mass_bar_, parameter_bar_,
-        place_effect_bar_, pose_bar_, target_bar_;
+        place_effect_bar_, pose_bar_, target_bar_, channel_bar_;
     double gravity_bar_[3] = {0, 0, 0};
     double compliance_bar_ = 0;
 };

@@ -172,6 +172,32 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
         reverse_uniforms(time, dt);
         reverse_observer(n, frame, dt);
+        reverse_actuation(n, frame, dt);
+    }
+
+    void reverse_actuation(int n, int frame, double dt) {
+        if (!run_.actuation_) {
+            return;
+        }
+        ActuationStep& loads = *run_.actuation_;
+        const Actuation& a = model_.geometry_.actuation;
+        const Fields<T>& fields = *run_.inputs_.primal;
+        const TargetBasis basis = run_.target_basis(n, frame, dt);
+        run_.look(loads, run_.u_.data(), run_.stride_, 1);
+        loads.channels_of(&fields.channel, index(frame), basis.value);
+        run_.pose_loads(loads, fields, n);
+        loads.value();
+        for (std::size_t i = 0; i < loads.pushed.size(); ++i) {
+            loads.pushed[i] = static_cast<double>(fbar_[run_.at(0, i % 3, static_cast<std::size_t>(a.pushed_carriers()[i / 3]))]);
+        }
+        loads.reverse();
+        loads.add_channels_bar(index(frame), basis.value, channel_bar_);
+        for (std::size_t i = 0; i < loads.seen.size(); ++i) {
+            ubar_[run_.at(0, i % 3, static_cast<std::size_t>(a.read_carriers()[i / 3]))] += static_cast<T>(loads.seen[i]);
+        }
+        for (std::size_t i = 0; i < loads.poses.size(); ++i) {
+            pose_bar_[run_.pose_at(i / 12, n) + i % 12] += loads.poses[i];
+        }
     }
 
     /// Of linear rows the adjoint is the transpose: no value is needed.
@@ -333,11 +359,12 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         out.node_force = node_force_bar_;
         out.pose = narrow(pose_bar_);
         out.target = narrow(target_bar_);
+        out.channel = narrow(channel_bar_);
         return out;
     }
 
     using Forces::add_uniform_bar, Forces::compliance_bar_, Forces::chunk_bar_, Forces::chunk_uniform_bar_, Forces::deformation0_bar_;
-    using Forces::fbar_, Forces::gravity_bar_, Forces::index, Forces::inverse_mass_bar_, Forces::lambda_bar_, Forces::mass_bar_;
+    using Forces::channel_bar_, Forces::fbar_, Forces::gravity_bar_, Forces::index, Forces::inverse_mass_bar_, Forces::lambda_bar_, Forces::mass_bar_;
     using Forces::model_, Forces::mu_bar_, Forces::node_force_bar_, Forces::parameter_bar_, Forces::place_effect_bar_;
     using Forces::pose_bar_, Forces::reverse_body, Forces::reverse_chunk, Forces::reverse_hook, Forces::reverse_places;
     using Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;

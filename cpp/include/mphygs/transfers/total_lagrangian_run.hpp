@@ -47,6 +47,9 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
                 return k < model.node_count() && inverse_mass_[k] != T{} ? inputs.observer->reach_row_of(k) : -1;
             });
         }
+        if (!model.geometry_.actuation.empty() && !inputs.primal->channel.empty()) {
+            actuation_.emplace(model.geometry_.actuation);
+        }
         int first = 0;
         for (const int steps : schedule.steps) {
             first_step_.push_back(first);
@@ -63,6 +66,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         place_forces(time);
         hook_forces(time, dt);
         known_forces(frame);
+        actuate(index(frame), target_basis(n, frame, dt).value, n);
         if (!pulled && ask(n, frame, dt)) {
             spread_pulls(dt);
         }
@@ -85,6 +89,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         reduce_forces();
         place_forces(0.0);
         hook_forces(0.0, dt);
+        actuate(0, TargetBasis(0, 1, dt).value, -1);
         std::vector<T> before = v_;
         update_nodes(0.0, 1.0);
         for (std::size_t i = 0; i < v_.size(); ++i) {
@@ -262,6 +267,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         return r;
     }
 
+    static std::size_t index(int n) { return static_cast<std::size_t>(n); }
+
     /// Where a substep stands in the targets of its output interval.
     TargetBasis target_basis(int n, int frame, double dt) const {
         const std::size_t f = static_cast<std::size_t>(frame);
@@ -315,6 +322,43 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
             for (std::size_t i = 0; i < 3 * stride_; ++i) {
                 to[i] += pulled_[l][i];
             }
+        }
+    }
+
+    /// Adds the forces of tendons, pressures and known loads in an output interval. powers: of the share; step: number of
+    /// the substep, for the holds' poses, -1: holds are at rest.
+    void actuate(std::size_t interval, const double (&powers)[4], int step) {
+        for (int l = 0; actuation_ && l < lanes; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            look(*actuation_, &u_[at(l, 0, 0)], stride_, 1);
+            actuation_->channels_of(&fields->channel, interval, powers);
+            pose_loads(*actuation_, *fields, step);
+            l == 0 ? actuation_->value() : actuation_->change();
+            push(*actuation_, &f_[at(l, 0, 0)], stride_, 1);
+        }
+    }
+    /// Displacements of the nodes that loads read: component c of node n stands at c across + n apart.
+    void look(ActuationStep& loads, const T* u, std::size_t across, std::size_t apart) const {
+        const std::vector<std::int32_t>& read = model_.geometry_.actuation.read_carriers();
+        for (std::size_t i = 0; i < 3 * read.size(); ++i) {
+            loads.seen[i] = static_cast<double>(u[i % 3 * across + static_cast<std::size_t>(read[i / 3]) * apart]);
+        }
+    }
+    void push(const ActuationStep& loads, T* f, std::size_t across, std::size_t apart) const {
+        const std::vector<std::int32_t>& pushed = model_.geometry_.actuation.pushed_carriers();
+        for (std::size_t i = 0; i < 3 * pushed.size(); ++i) {
+            f[i % 3 * across + static_cast<std::size_t>(pushed[i / 3]) * apart] += static_cast<T>(loads.pushed[i]);
+        }
+    }
+    /// First of the twelve numbers of a hold's pose before a substep.
+    std::size_t pose_at(std::size_t hold, int step) const {
+        return (hold * (static_cast<std::size_t>(schedule_.total_steps()) + 1) + static_cast<std::size_t>(step)) * 12;
+    }
+    void pose_loads(ActuationStep& loads, const Fields<T>& fields, int step) const {
+        loads.poses.clear();
+        const std::size_t holds = step < 0 || fields.pose.empty() ? 0 : static_cast<std::size_t>(model_.geometry_.hold_count);
+        for (std::size_t i = 0; i < 12 * holds; ++i) {
+            loads.poses.push_back(static_cast<double>(fields.pose[pose_at(i / 12, step) + i % 12]));
         }
     }
 
@@ -449,6 +493,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     int aimed_ = -1;                           // output interval whose targets are in aims_
     bool pulling_ = false;                     // whether any channel pulls in it
     std::vector<T> aims_[lanes], asked_[lanes], pulled_[lanes], blend_;  // see ObserverRows
+    std::optional<ActuationStep> actuation_;                            // where there are loads, and they act
     std::vector<T> f_, mass_, inverse_mass_;  // lane, component, node
     Vec3<U> gravity_;
     U compliance_{};
