@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from mphygs.api.calls import CaptureLike, Home, Progress, call, comma, json_of, place, placed_capture
 from mphygs.api.results import Error, Estimate, Row, Table, errors_figure, errors_of, estimates_of
-from mphygs.baselines.kinds import NAMES
+from mphygs.baselines.kinds import Baseline
 from mphygs.command import Console
 from mphygs.fit.__main__ import FitOptions, fitted
 from mphygs.fit.run import Run
@@ -87,7 +87,7 @@ def fit(
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton",
     stages: str | Path | None = None,
     without: Sequence[str] | str = (),
-    baseline: Literal[NAMES] | None = None,
+    baseline: Baseline | None = None,
     feedback: float | None = None,
     intervals: bool = False,
     seed: int = 0,

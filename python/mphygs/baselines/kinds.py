@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Literal, get_args
 
 from mphygs.baselines.training import Progress
 from mphygs.fit.experiment import Experiment
@@ -10,7 +11,9 @@ from mphygs.fit.of_run import baseline_of
 from mphygs.fit.run import Run
 from mphygs.simulate.prediction import Maker, Predictor
 
-NAMES = ("homogeneous", "springs", "neural", "graph", "field", "prior")
+# What others do, each in a module of its own.
+Baseline = Literal["homogeneous", "springs", "neural", "graph", "field", "prior"]
+NAMES: tuple[Baseline, ...] = get_args(Baseline)
 
 
 def fit_baseline(run: Run, experiment: Experiment, progress: Progress, **more: object) -> Run:

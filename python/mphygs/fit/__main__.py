@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from mphygs.baselines.kinds import NAMES, fit_baseline, maker_of
+from mphygs.baselines.kinds import Baseline, fit_baseline, maker_of
 from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
 from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
@@ -44,8 +44,6 @@ from mphygs.simulate.timeline import MOST_SUBSTEPS
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
 Law = Literal[laws()]
-# What others do, see `mphygs.baselines`.
-Baseline = Literal[NAMES]
 Preset = Literal[tuple(s.name for s in SUBSTANCES)]
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
