@@ -12,6 +12,7 @@ from mphygs.capture.actuators import Actuator, Force, Pressure, Tendon
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
 from mphygs.capture.motions import ramp
+from mphygs.capture.sensors import Sensor
 from mphygs.model.belief import Belief, Parameter
 from mphygs.scene.patch import surface_patch
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
@@ -272,3 +273,14 @@ def test_a_patch_that_is_all_held_is_refused() -> None:
     capture = bar(Pressure(SLOW, "air", box=box), at=AXIS)
     with pytest.raises(ValueError, match="sequence 'a', load 'air': its patch has no surface that is open"):
         run(capture, bar_belief(capture))
+
+
+def test_no_force_is_read_where_a_tendon_ends_in_the_hold() -> None:
+    values = np.full(FRAMES, 0.1)
+    path = np.array([[-0.005, MIDDLE, MIDDLE], [0.06, MIDDLE, MIDDLE]])
+    capture = bar(Tendon(values, "pull", path=path), at=AXIS)
+    (sequence,) = capture.sequences
+    sensor = Sensor("force", np.zeros((FRAMES, 1, 3)), sigma=np.array([1e-3]), hold=0)
+    capture = replace(capture, sequences=(replace(sequence, sensors=(sensor,)),))
+    with pytest.raises(ValueError, match=r"sensors\[0\]: a tendon passes through hold 0"):
+        Predictor(capture, capture.sequence("a"), Settings(0.01, dtype="float64"))

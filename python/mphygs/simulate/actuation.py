@@ -62,6 +62,11 @@ class Actuation:
         """Number of the core's channels."""
         return int(self._first[-1])
 
+    @property
+    def held(self) -> frozenset[int]:
+        """The holds that tendons pull at: the core takes that as borne, and tells no reaction to it."""
+        return frozenset(h for h in (self.core or {}).get("hold", ()) if h >= 0)
+
     def _placed(self, transfer: Transfer) -> dict[str, object]:
         """Where they act, as the core takes it."""
         points = _Points()

@@ -8,7 +8,7 @@ carries or the gravity that an accelerometer feels, depends on the belief alone.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -173,6 +173,17 @@ class PointAcceleration(Instrument):
     def direct(self, belief: Belief, timeline: Timeline) -> np.ndarray:
         out = np.zeros((len(timeline.frames), 1, 3))
         return out - gravity_of(belief, self.body) if self.gravity else out
+
+
+def check_force_sensors(recording: Recording, pulled: Collection[int]) -> None:
+    """Raises ValueError where a force is read at one of the holds that tendons pull at: what a hold gives to
+    bear them is not told."""
+    for number, sensor in enumerate(recording.sensors):
+        if sensor.kind == FORCE and sensor.hold in pulled:
+            raise ValueError(
+                f"sequence '{recording.name}', sensors[{number}]: a tendon passes through hold {sensor.hold}; "
+                "expected another hold, for the force of such a one is not told"
+            )
 
 
 def instrument_of(sensor: Sensor, transfer: Transfer, recording: Recording) -> Instrument:

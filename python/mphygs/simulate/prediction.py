@@ -23,7 +23,7 @@ from mphygs.simulate.carried import Carriers
 from mphygs.simulate.errors import Halted
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.fields import core_effects, direction, places, primal
-from mphygs.simulate.instruments import Instrument, instrument_of
+from mphygs.simulate.instruments import Instrument, check_force_sensors, instrument_of
 from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.measured_start import MeasuredStart, start_numbers, start_sequence
 from mphygs.simulate.measurement import lateness, measured
@@ -74,6 +74,7 @@ class Predictor:
         self.actuation = Actuation(recording, self.transfer)
         if self.actuation.core is not None:
             self.transfer.actuate(self.actuation.core)
+        check_force_sensors(recording, self.actuation.held)
 
     def twin(self, workers: int, halt: Event | None = None) -> Predictor:
         """The same predictor, for another thread: of the same body, with models of its own.
