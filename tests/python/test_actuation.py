@@ -282,5 +282,5 @@ def test_no_force_is_read_where_a_tendon_ends_in_the_hold() -> None:
     (sequence,) = capture.sequences
     sensor = Sensor("force", np.zeros((FRAMES, 1, 3)), sigma=np.array([1e-3]), hold=0)
     capture = replace(capture, sequences=(replace(sequence, sensors=(sensor,)),))
-    with pytest.raises(ValueError, match=r"sensors\[0\]: a tendon passes through hold 0"):
+    with pytest.raises(ValueError, match=r"sensors\[0\]: a tendon passes hold 0"):
         Predictor(capture, capture.sequence("a"), Settings(0.01, dtype="float64"))

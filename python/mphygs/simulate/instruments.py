@@ -181,7 +181,7 @@ def check_force_sensors(recording: Recording, pulled: Collection[int]) -> None:
     for number, sensor in enumerate(recording.sensors):
         if sensor.kind == FORCE and sensor.hold in pulled:
             raise ValueError(
-                f"sequence '{recording.name}', sensors[{number}]: a tendon passes through hold {sensor.hold}; "
+                f"sequence '{recording.name}', sensors[{number}]: a tendon passes hold {sensor.hold}; "
                 "expected another hold, for the force of such a one is not told"
             )
 
