@@ -59,10 +59,10 @@ def test_another_law_is_found_with_its_own_modulus_and_stands_in_the_table() -> 
     assert refit.belief.law == OTHER and refit.belief.effects == (OTHER,)
     assert refit.belief["part0.youngs_modulus"].value == pytest.approx(SOFT, rel=3e-3)
     assert refit.pays and refit.gain.accepted and refit.assessment.worst < 1.1
-    # A swap: as many numbers as before.
+    # A swap: as many numbers are fitted as before, and its choice counts as one.
     assert len(refit.belief.free) == len(belief.free)
     row = candidate_rows(found, [refit], {}, fitted.belief, step_from(refit, SPACING, [refit], 1.0))[0]
-    assert (row["effect"], row["numbers"], row["struck"]) == (OTHER, 0, None)
+    assert (row["effect"], row["numbers"], row["struck"]) == (OTHER, 1, None)
     assert row["gain"] > 1.5 * row["gain_se"] > 0.0 and row["drop"] == refit.actual_drop
 
 
