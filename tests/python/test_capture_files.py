@@ -66,7 +66,8 @@ def test_kind_of_path(folder: Path) -> None:
         file_inside(folder, entry("sub"))
     with pytest.raises(CaptureError, match="is not a folder; expected a folder of views"):
         views_inside(folder, entry("sub/a.txt"))
-    with pytest.raises(CaptureError, match=r"holds no cameras; expected transforms.json, transforms_train.json or sparse/0"):
+    told = r"holds no cameras; expected transforms.json, transforms_train.json or sparse/0"
+    with pytest.raises(CaptureError, match=told):
         views_inside(folder, entry("sub"))
     (folder / "sub" / "sparse" / "0").mkdir(parents=True)
     assert views_inside(folder, entry("sub")) == folder / "sub"
