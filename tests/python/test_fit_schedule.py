@@ -279,6 +279,19 @@ def test_a_screening_fit_has_one_grid_whatever_the_rounding(
     assert [stage.spacing for stage in plan] == [coarse] * 3
 
 
+@pytest.mark.parametrize("valley", [0.5, 1.5, 2.2])
+def test_a_valley_between_two_scales_is_found(valley: float) -> None:
+    """A swing and more fits between two scales: at both of them the model is as far off."""
+    start = bar_belief(bar_capture(), youngs_modulus=1e5, free=FREE)
+
+    def evaluate(belief: Belief, *, jacobian: bool) -> SimpleNamespace:
+        away = np.log(belief[FREE[0]].value / 1e5 / valley)
+        return SimpleNamespace(cost=2e4 * (1.0 + 0.02 * abs(away)) - 1.9e4 * np.exp(-((away / 0.3) ** 2)))
+
+    found = schedule.find_scale(SimpleNamespace(evaluate=evaluate), start)[FREE[0]].value
+    assert abs(np.log(found / 1e5 / valley)) < 0.3
+
+
 @pytest.mark.parametrize("young", [3e7, 500.0])
 def test_a_stiffness_beyond_the_usual_ones_is_found(young: float) -> None:
     shake = 0.004 * np.sin(np.linspace(0.0, 6.0, 12))[:, None] * [0.0, 1.0, 0.5]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +54,9 @@ ONWARD = ((0.25, 6), (0.5, 4))
 # Common factors on all Young's moduli that are tried before anything else; share of the cost by which one
 # beyond these has to be better than the one before.
 SCALES, BETTER = tuple(10.0**k for k in (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)), 0.01
+# Between two of them half a swing of the motion may fit, and the valley with it: it is looked for halfway
+# beside all that cost up to so many times the least, and once more beside the best of these.
+HARDLY_WORSE = 2.0
 
 
 @dataclass(frozen=True)
@@ -210,15 +214,16 @@ def at_scales(
 
 
 def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] | None = None) -> Belief:
-    """Move all free Young's moduli together to the factor that fits the first frames best, beyond the scales
-    that are usual as long as that fits better still, within their bounds."""
-    best, best_cost, at, seen = None, np.inf, 1.0, []
+    """Move all free Young's moduli together to the factor that fits the first frames best: of the usual
+    scales, beyond them as long as that fits better still, within their bounds, and of those between."""
+    best, best_cost, at = None, np.inf, 1.0
+    seen: dict[float, float] = {}
 
     def tried(scale: float, cost: float, trial: Belief) -> bool:
         nonlocal best, best_cost, at
         if report:
             report(f"scale {scale:.3g}: cost {cost:.4g}")
-        seen.append(scale)
+        seen[scale] = cost
         better = cost < (1.0 - BETTER) * best_cost
         if cost < best_cost:
             best, best_cost, at = trial, cost, scale
@@ -245,6 +250,12 @@ def find_scale(problem: Problem, belief: Belief, report: Callable[[str], None] |
         if not better:
             break
         moved = trial
+    for apart, worse in ((step**0.5, HARDLY_WORSE), (step**0.25, 1.0)):
+        near = [scale for scale, cost in seen.items() if cost <= worse * best_cost]
+        for scale in sorted({round(scale * f, 9) for scale in near for f in (apart, 1.0 / apart)}):
+            trial = stiffened(belief, scale)
+            with suppress(SimulationError):
+                tried(scale, problem.evaluate(trial, jacobian=False).cost, trial)
     return about_its_scale(best)
 
 
