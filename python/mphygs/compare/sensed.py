@@ -153,14 +153,18 @@ def sensor_errors(
     return out
 
 
+def quantity_label(sensor: str, quantity: str) -> str:
+    """What a quantity of a sensor is called, which may say it already."""
+    return sensor if sensor.startswith(quantity) else f"{sensor}, {quantity}"
+
+
 def sensor_lines(document: Mapping[str, Sequence[Mapping[str, object]]]) -> list[list[str]]:
     """Rows of a table, its head first; grid: rms of what it gets wrong. document: by sequence, as of
     `sensor_errors`."""
     rows = [["sequence", "sensor", "frames", "rms", "max", "grid", "unit", "rms / sigma", "readings"]]
     for name, entries in document.items():
         for entry in entries:
-            what = str(entry["sensor"])
-            what += "" if what.startswith(str(entry["quantity"])) else f", {entry['quantity']}"
+            what = quantity_label(str(entry["sensor"]), str(entry["quantity"]))
             for label in ("fit", "predict", "all"):
                 if error := entry.get(label):
                     numbers = [f"{x:.4g}" for x in (error["rms"], error["max"], 3**0.5 * entry["grid"])]

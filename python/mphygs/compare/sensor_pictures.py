@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from mphygs.compare.assess import Compared
 from mphygs.compare.pictures import BAND, FITTED_SHADE, MEASURED, PREDICTED
+from mphygs.compare.sensed import quantity_label
 
 
 def sensor_figure(compared: Compared, *, name: str, fps: float) -> Figure:
@@ -30,8 +31,9 @@ def sensor_figure(compared: Compared, *, name: str, fps: float) -> Figure:
             place.plot(times, one.sensed.value[window, v, c], ".", ms=3, color=MEASURED, label="measured")
             label = f"predicted, {BAND:g} sigma of noise"
             place.plot(times, predicted, color=PREDICTED, lw=1.2, label=label)
-            title = f"{one.sensed.label}: {one.sensed.quantities[v]}, {'xyz'[c]}"
-            place.set(title=title, ylabel=one.sensed.units[v])
+            place.set(ylabel=one.sensed.units[v])
+            what = quantity_label(one.sensed.label, one.sensed.quantities[v])
+            place.set_title(f"{what}: {'xyz'[c]}", fontsize=9)
     for place in axes[-1]:
         place.set(xlabel="time [s]")
     figure.suptitle(f"{name}: what instruments measured, and predicted")

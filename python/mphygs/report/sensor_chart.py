@@ -8,6 +8,7 @@ from html import escape
 import numpy as np
 
 from mphygs.compare.assess import Compared
+from mphygs.compare.sensed import quantity_label
 from mphygs.report.charts import figure
 
 AXES = "xyz"
@@ -51,7 +52,7 @@ def sensors_chart(compared: Mapping[str, Compared], fps: Mapping[str, float]) ->
                  "x0": item.fit[0] / fps[name], "x1": (item.fit[1] - 1) / fps[name], "layer": "below",
                  "line": {"width": 0}, "fillcolor": "$quiet", "opacity": 0.12}
             )  # fmt: skip
-        text = one.sensed.label if quantity in one.sensed.label else f"{one.sensed.label}, {quantity}"
+        text = quantity_label(one.sensed.label, quantity)
         notes.append(
             {"xref": "paper", "yref": "paper", "x": 0, "y": top, "xanchor": "left", "yanchor": "bottom",
              "showarrow": False, "text": escape(f"{name}: {text}")}
