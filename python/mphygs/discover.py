@@ -32,13 +32,14 @@ from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
 from mphygs.extend.step import FAULT, Step
 from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.extend.window import passed_on_the_way
-from mphygs.fit.__main__ import RUNS, FitOptions, check_options, fitted
+from mphygs.fit.__main__ import RUNS, fitted
 from mphygs.fit.countdown import duration
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
 from mphygs.fit.schedule import screening_spacing
+from mphygs.fit_options import FitOptions, check_options
 from mphygs.image_stages import FOLDER, has_stages, run_stages
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import check_effects

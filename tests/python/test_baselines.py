@@ -20,6 +20,7 @@ from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import edges_of
 from mphygs.baselines.residual_network import NAMES, SHAPES, starting_weights
 from mphygs.baselines.spring_system import Course, SpringRun, Springs
+from mphygs.capture.actuators import Force
 from mphygs.capture.format import load_capture, save_capture
 from mphygs.compare import __main__ as compare
 from mphygs.diagnose import __main__ as diagnose
@@ -32,7 +33,9 @@ from mphygs.report import __main__ as report
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings
 from pictured_example import pictured_flower, stages_of_truth
+from sensor_example import acceleration_at
 
+EVERYWHERE = np.array([[-1.0] * 3, [1.0] * 3])
 OPTIONS = ("--spacing", SPACING, "--workers", 1)
 Make = Callable[..., Predictor]
 
@@ -333,6 +336,25 @@ def test_what_does_not_go_together_is_refused(
 ) -> None:
     code, out, err = call(fit.main, capture, "--out", tmp_path / "run", *arguments)
     assert (code, out) == (2, "") and words in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("name", ["springs", "neural", "graph", "field"])
+@pytest.mark.parametrize(
+    ("more", "word"),
+    [
+        (lambda s: {"sensors": (acceleration_at(s.markers.at[0], s.frames),)}, "sensors"),
+        (lambda s: {"actuators": (Force(np.ones((s.frames, 3)), "pull", box=EVERYWHERE),)}, "loads of"),
+    ],
+)
+def test_what_a_model_of_its_own_does_not_know_of_is_refused(
+    capture: Path, tmp_path: Path, name: str, more: Callable[[object], dict], word: str
+) -> None:
+    whole = load_capture(capture)
+    sequence = replace(whole.sequences[0], **more(whole.sequences[0]))
+    save_capture(replace(whole, sequences=(sequence, *whole.sequences[1:])), tmp_path / "capture")
+    code, out, err = call(fit.main, tmp_path / "capture", "--baseline", name, "--out", tmp_path / "run")
+    line = f"--baseline {name}: sequence '{sequence.name}' has {word}"
+    assert (code, out) == (2, "") and line in err.splitlines()[-1]
 
 
 def test_one_material_is_fitted_to_markers_as_several_are(capture: Path, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, recorded, step_of
+from mphygs.capture.actuators import Tendon
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
 from mphygs.extend.simplest import among_all, without_loads
@@ -103,6 +104,10 @@ def test_the_simplest_recordings_are_those_without_a_load() -> None:
     assert without_loads(made.only(("plain", "late"))) == ()
     assert without_loads(made.only(("pulled",))) == ()
     assert without_loads(made.only(("pulled", "late"))) == ("late",)
+    # What pulls by numbers in a file is a load as well.
+    pull = Tendon(np.ones(made.capture.sequence("late").frames), "pull", path=np.eye(3))
+    driven = [replace(s, actuators=(pull,)) if s.name == "late" else s for s in made.capture.sequences]
+    assert without_loads(replace(made, capture=replace(made.capture, sequences=tuple(driven)))) == ("plain",)
 
 
 def released(belief: Belief, name: str, value: float) -> Belief:

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from mphygs.capture.actuators import Force, Pressure, Tendon
 from mphygs.capture.format import Capture, CaptureError, Hold, Known, Sequence
+from mphygs.capture.holds import Load
 from mphygs.capture.meshes import write_mesh
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_rotation_vector
 from mphygs.compare.noise import observe
@@ -92,6 +94,26 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     assert np.nanmax(np.abs(placement.to_world(markers.position) - raw[:, index])) < 1e-12
     assert digest_of(assembled(capture, folder)) == digest_of(whole)
     assert digest_of(assembled(capture, folder, tracked=False)) != digest_of(whole)
+
+
+def test_what_pulls_along_the_worlds_axes_turns_with_the_frame(tmp_path: Path) -> None:
+    folder, _ = written(tmp_path / "stages")
+    capture, box = recorded(), np.array([[-1.0] * 3, [1.0] * 3])
+    force, anchor = np.array([0.1, -0.2, 0.3]), np.array([0.3, 0.1, -0.2])
+    load = Load(box, force, 0)
+    pulls = Force(np.tile(force, (FRAMES, 1)), "push", box=box)
+    tendon = Tendon(np.ones(FRAMES), "pull", path=np.zeros((2, 3)), anchor=anchor)
+    pressure = Pressure(np.ones(FRAMES), "blow", box=box)
+    acts = {"loads": (load,), "actuators": (pulls, tendon, pressure)}
+    before = replace(capture, sequences=(replace(capture.sequences[0], **acts),))
+    sequence = assembled(before, folder).sequences[0]
+    placement = placement_of(capture.sequences[0], folder)
+    turned = placement.rotation.T @ force
+    assert not np.allclose(turned, force)
+    assert sequence.loads[0].force == pytest.approx(turned)
+    assert sequence.actuators[0].values == pytest.approx(np.tile(turned, (FRAMES, 1)))
+    assert placement.to_world(sequence.actuators[1].anchor) == pytest.approx(anchor)
+    assert sequence.actuators[1].values is tendon.values and sequence.actuators[2] is pressure
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.9])

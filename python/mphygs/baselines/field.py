@@ -19,20 +19,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
-from mphygs.capture.format import Capture
-from mphygs.capture.record import Sequence as Recording
+from mphygs.baselines.mover import Learned
+from mphygs.baselines.training import Plan, Progress, Values, begun_at, taken, train, trained_values
+from mphygs.baselines.weights import as_tensors
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.gradient_optimisers import Misfit
 from mphygs.fit.run import TRAINED, Run
 from mphygs.model.belief import Belief
 from mphygs.simulate.batches import Owned
-from mphygs.simulate.body import Body
-from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.measurement import before_measurement
-from mphygs.simulate.prediction import Maker, Predictor
+from mphygs.simulate.prediction import Maker
 from mphygs.simulate.prediction_gradient import field_slopes
-from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
 
@@ -51,31 +48,21 @@ STAGES, ITERATIONS = 8, 8
 GROWING = (0.25, 0.5)
 # What total variation costs, and the logarithm of E beyond which it is cut off.
 VARIATION, FARTHEST = 1e-4, 8.0
-# How many times the capture's usual modulus is tried first, as a power of ten, stiffest first; after so many
-# in a row that are worse than the best, no more.
-TRIED, PATIENCE = tuple(np.arange(1.5, -1.6, -0.25)), 2
 
 
-class FieldPredictor(Predictor):
+class FieldPredictor(Learned):
     """Predicts by a field of E. values: see `maker`."""
 
-    def __init__(
-        self, values: Mapping[str, np.ndarray], capture: Capture, recording: Recording, settings: Settings, *,
-        body: Body | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(capture, recording, settings, body=body)
+    def settle(self) -> None:
         self.points = torch.as_tensor(self.body.quadrature.points.reshape(-1, 3), dtype=torch.float32)
-        self.box = values["box"]
-        self.take(values)
-
-    def alike(self, settings: Settings) -> FieldPredictor:
-        return FieldPredictor(self.values, self.capture, self.recording, settings, body=self.body)
+        self.box = self.values["box"]
+        self.take(self.values)
 
     def take(self, values: Mapping[str, np.ndarray]) -> None:
         """Predict by other numbers from now on."""
         self.values = {**values, "box": self.box}
         with torch.no_grad():
-            found = field_at(_tensors(values), self.points, self.box)
+            found = field_at(as_tensors(values, SHAPES), self.points, self.box)
         self.factor = np.exp(found.numpy().astype(float)).reshape(self.body.quadrature.points.shape[:2])
         self.forget()
 
@@ -151,7 +138,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
         stage = number // ITERATIONS
         share = GROWING[stage] if stage < len(GROWING) else 1.0
         ranges = problem.narrowed(share).ranges if share < 1.0 else problem.ranges
-        weights = _tensors(values, slopes=slopes)
+        weights = as_tensors(values, SHAPES, slopes=slopes)
         cost, rows = 0.0, 0
         for name, mover in movers.items():
             first, last = ranges[name]
@@ -174,23 +161,12 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
         return cost / rows + float(rough.detach()), found
 
     def start() -> Values:
-        best: tuple[float, Values] | None = None
-        worse = 0
-        for power in TRIED:
-            values = begun | {"level": np.array([power * np.log(10.0)])}
-            try:
-                cost = measure(values, ITERATIONS * STAGES, slopes=False)[0]
-            except SimulationError:
-                continue
-            progress(0.0, f"field: 10^{power:+.2f} of the usual modulus, misfit {np.sqrt(2.0 * cost):.4g}")
-            worse += 1
-            if best is None or cost < best[0]:
-                best, worse = (cost, values), 0
-            if worse >= PATIENCE:
-                break
-        if best is None:
-            raise SimulationError("field: no modulus that was tried could be run")
-        return best[1]
+        return begun_at(
+            lambda power: begun | {"level": np.array([power * np.log(10.0)])},
+            lambda values: measure(values, ITERATIONS * STAGES, slopes=False)[0],
+            progress,
+            name="field",
+        )
 
     plan = Plan(
         RATES, STAGES, ITERATIONS, begins=tuple((k + 1) * ITERATIONS for k in range(len(GROWING)))
@@ -205,8 +181,3 @@ def _slope(mover: FieldPredictor, belief: Belief, last: int, bar: np.ndarray) ->
     seen = before_measurement(belief, timeline.frames / mover.recording.fps, bar)
     bars, fields, _ = field_slopes(mover, belief, timeline, None, seen)
     return sum(bars[name].ravel() * np.asarray(fields[name], float).ravel() for name in ("mu", "lambda"))
-
-
-def _tensors(values: Mapping[str, np.ndarray], *, slopes: bool = False) -> dict[str, Tensor]:
-    found = {name: torch.as_tensor(values[name], dtype=torch.float32) for name in SHAPES}
-    return {name: t.clone().requires_grad_() if slopes else t for name, t in found.items()}

@@ -19,16 +19,13 @@ from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import HISTORY, SHAPES, Graph, starting_weights
 from mphygs.baselines.mover import Mover, start_of
 from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
-from mphygs.capture.format import Capture
-from mphygs.capture.record import Sequence as Recording
+from mphygs.baselines.weights import as_tensors
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import farthest_first
 from mphygs.fit.run import TRAINED, Run
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import Body
 from mphygs.simulate.measurement import lateness
 from mphygs.simulate.prediction import Maker, Predictor
-from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 
 # Free nodes at most.
@@ -45,12 +42,8 @@ LENGTHS = 0.1
 class GraphPredictor(Mover):
     """Predicts by the graph network. values: see `maker`."""
 
-    def __init__(
-        self, values: Mapping[str, np.ndarray], capture: Capture, recording: Recording, settings: Settings, *,
-        body: Body | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(capture, recording, settings, body=body)
-        self.values = values
+    def settle(self) -> None:
+        values, recording = self.values, self.recording
         rest, fps = values["nodes"], float(values["fps"][0])
         if abs(recording.fps - fps) > 1e-6 * fps:
             raise ValueError(
@@ -61,9 +54,6 @@ class GraphPredictor(Mover):
         self.graph = Graph(rest, ~self.anchors.free, float(values["move"][0]))
         self.rows = self.anchors.weights(self.attachment.anchor + self.attachment.offset)
 
-    def alike(self, settings: Settings) -> GraphPredictor:
-        return GraphPredictor(self.values, self.capture, self.recording, settings, body=self.body)
-
     def moved(self, belief: Belief, last: int) -> tuple[Timeline, np.ndarray, np.ndarray]:
         timeline = self.timeline(belief, last, 1.0 / self.recording.fps)
         ends = np.r_[timeline.schedule["start"], timeline.times]
@@ -71,7 +61,7 @@ class GraphPredictor(Mover):
         place, velocity = start_of(self, belief, self.anchors.rest)
         places = [place]
         moves = np.repeat(velocity[None] / self.recording.fps, HISTORY, axis=0)
-        weights = _tensors(self.values)
+        weights = as_tensors(self.values, SHAPES)
         with torch.no_grad():
             for k in range(len(timeline.moving)):
                 action = np.zeros_like(place)
@@ -137,7 +127,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     run = replace(run, belief=belief)
 
     def measure(values: Mapping[str, np.ndarray], number: int) -> tuple[float, Values]:
-        weights = _tensors(values, slopes=True)
+        weights = as_tensors(values, SHAPES, slopes=True)
         generator = np.random.default_rng([run.seed, 1, number])
         steps = ROLLOUTS[len(ROLLOUTS) * number // (STAGES * ITERATIONS)]
         cost = _stretches(graph, weights, shown, steps, generator)
@@ -263,8 +253,3 @@ def _turn(gravity: np.ndarray, angle: float) -> Tensor:
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turn = np.eye(3) + np.sin(angle) * across + (1.0 - np.cos(angle)) * across @ across
     return torch.as_tensor(turn, dtype=torch.float32)
-
-
-def _tensors(values: Mapping[str, np.ndarray], *, slopes: bool = False) -> dict[str, Tensor]:
-    found = {name: torch.as_tensor(values[name], dtype=torch.float32) for name in SHAPES}
-    return {name: t.clone().requires_grad_() if slopes else t for name, t in found.items()}

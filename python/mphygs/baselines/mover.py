@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from mphygs.baselines.anchors import Anchors, carried_points
+from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
+from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief
+from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.prediction import Prediction, Predictor
+from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
 
@@ -26,7 +30,29 @@ if TYPE_CHECKING:
 _TICK = 1e-4
 
 
-class Mover(Predictor):
+class Learned(Predictor):
+    """A predictor by numbers that a baseline has learnt.
+
+    values: by name, see the `maker` of the baseline; the others: of `Predictor`.
+    """
+
+    def __init__(
+        self, values: Mapping[str, np.ndarray], capture: Capture, recording: Recording, settings: Settings, *,
+        body: Body | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(capture, recording, settings, body=body)
+        self.values = values
+        self.settle()
+
+    @abstractmethod
+    def settle(self) -> None:
+        """What follows from the numbers for the sequence. Raises ValueError where they do not fit it."""
+
+    def alike(self, settings: Settings) -> Self:
+        return type(self)(self.values, self.capture, self.recording, settings, body=self.body)
+
+
+class Mover(Learned):
     """A predictor whose motion comes from elsewhere; grid, markers and holds are the simulator's.
 
     The belief tells when a sequence is let go and how it begins; its numbers have slopes only where `slopes`

@@ -26,18 +26,15 @@ from mphygs.baselines.residual_network import (
     starting_weights,
 )
 from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
-from mphygs.capture.format import Capture
-from mphygs.capture.record import Sequence as Recording
+from mphygs.baselines.weights import as_tensors
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.gradient_optimisers import Misfit
 from mphygs.fit.run import TRAINED, Run
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.op import rollout
 from mphygs.simulate.prediction import Maker, Predictor
-from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 
 STAGES, ITERATIONS = 8, 8
@@ -55,17 +52,9 @@ OUTPUT = 0.5
 class NeuralPredictor(Mover):
     """Predicts by the elastic model in the loop with a network. values: see `maker`."""
 
-    def __init__(
-        self, values: Mapping[str, np.ndarray], capture: Capture, recording: Recording, settings: Settings, *,
-        body: Body | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(capture, recording, settings, body=body)
-        self.values = values
-        self.scales = Scales.of(values["scales"])
-        self._number = torch.float32 if settings.number is np.float32 else torch.float64
-
-    def alike(self, settings: Settings) -> NeuralPredictor:
-        return NeuralPredictor(self.values, self.capture, self.recording, settings, body=self.body)
+    def settle(self) -> None:
+        self.scales = Scales.of(self.values["scales"])
+        self._number = torch.float32 if self.settings.number is np.float32 else torch.float64
 
     @cached_property
     def elastic(self) -> Predictor:
@@ -80,7 +69,7 @@ class NeuralPredictor(Mover):
 
     def moved(self, belief: Belief, last: int) -> tuple[Timeline, np.ndarray, np.ndarray]:
         with torch.no_grad():
-            timeline, u, v = self.loop(belief, last, _tensors(self.values))
+            timeline, u, v = self.loop(belief, last, as_tensors(self.values, NAMES))
         states = (u.numpy().astype(float), v.numpy().astype(float))
         position, velocity = self.carriers.observe(states, timeline, self.recording)
         if not np.isfinite(position).all():
@@ -134,10 +123,6 @@ class NeuralPredictor(Mover):
         return carried_points(self.recording, times, rest, hold)
 
 
-def _tensors(values: Mapping[str, np.ndarray], *, slopes: bool = False) -> dict[str, Tensor]:
-    found = {name: torch.as_tensor(values[name], dtype=torch.float32) for name in NAMES}
-    return {name: t.clone().requires_grad_() if slopes else t for name, t in found.items()}
-
 
 def maker(run: Run) -> Maker:
     """Predictors by the network of a finished run."""
@@ -166,7 +151,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
         share = GROWING[stage] if stage < len(GROWING) else 1.0
         ranges = problem.narrowed(share).ranges if share < 1.0 else problem.ranges
         cost, rows = 0.0, 0
-        weights = _tensors(values, slopes=True)
+        weights = as_tensors(values, NAMES, slopes=True)
         for name, mover in movers.items():
             first, last = ranges[name]
             timeline, u, v = mover.loop(belief, last, weights)

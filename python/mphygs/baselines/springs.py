@@ -16,24 +16,17 @@ import numpy as np
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.mover import Mover, start_of
 from mphygs.baselines.spring_system import SPRINGS, Course, SpringRun, Springs
-from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
+from mphygs.baselines.training import Plan, Progress, Values, begun_at, taken, train, trained_values
 from mphygs.capture.format import Capture
-from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.gradient_optimisers import Misfit
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Maker
-from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 
 ANCHORS = 100
-# How many times as stiff as the capture's usual start is tried first, as powers of ten, stiff ones first: too
-# soft, an object falls through many a place where it once was. After so many in a row that are worse than the
-# best, no more.
-TRIED, PATIENCE = tuple(np.arange(1.5, -1.6, -0.25)), 2
 STAGES, ITERATIONS = 12, 5
 RATES = {"k": 0.05, "softness": 0.1, "damping": 0.1}
 SOFTNESS, DAMPING = 0.0, 0.1  # damping: [m/s], of a spring over its length
@@ -42,19 +35,11 @@ SOFTNESS, DAMPING = 0.0, 0.1  # damping: [m/s], of a spring over its length
 class SpringPredictor(Mover):
     """Predicts by springs. values: see `maker`."""
 
-    def __init__(
-        self, values: Mapping[str, np.ndarray], capture: Capture, recording: Recording, settings: Settings, *,
-        body: Body | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(capture, recording, settings, body=body)
-        self.values = values
-        rest = values["anchors"]
-        self.anchors = Anchors(rest, holds_of(rest, values["held"], self.body.boxes))
+    def settle(self) -> None:
+        rest = self.values["anchors"]
+        self.anchors = Anchors(rest, holds_of(rest, self.values["held"], self.body.boxes))
         self.springs = Springs.of(rest)
         self.rows = self.anchors.weights(self.attachment.anchor + self.attachment.offset)
-
-    def alike(self, settings: Settings) -> SpringPredictor:
-        return SpringPredictor(self.values, self.capture, self.recording, settings, body=self.body)
 
     def run(self, belief: Belief, last: int, values: Mapping[str, np.ndarray]) -> tuple[Timeline, SpringRun]:
         """The anchors' motion with these numbers. Raises SimulationError where it diverges."""
@@ -155,25 +140,12 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
 
     def start() -> Values:
         usual = _usual(belief, experiment.capture, Springs.of(anchors.rest))
-        best: tuple[float, Values] | None = None
-        worse = 0
-        for power in TRIED:
-            values = none | {"k": np.full(len(anchors.rest), usual + power)}
-            values |= {"softness": np.array([SOFTNESS]), "damping": np.array([np.log(DAMPING)])}
-            try:
-                cost = measure(values, 0, slopes=False)[0]
-            except SimulationError:
-                continue
-            left = np.sqrt(2.0 * cost)
-            progress(0.0, f"springs: 10^{power:+.2f} times as stiff as usual, misfit {left:.4g}")
-            worse += 1
-            if best is None or cost < best[0]:
-                best, worse = (cost, values), 0
-            if worse >= PATIENCE:
-                break
-        if best is None:
-            raise SimulationError("springs: no stiffness that was tried could be run")
-        return best[1]
+        damping = {"softness": np.array([SOFTNESS]), "damping": np.array([np.log(DAMPING)])}
+
+        def values_at(power: float) -> Values:
+            return damping | {"k": np.full(len(anchors.rest), usual + power)}
+
+        return begun_at(values_at, lambda v: measure(v, 0, slopes=False)[0], progress, name="springs")
 
     plan = Plan(RATES, STAGES, ITERATIONS)
     run = train(run, start, measure, plan, constants, progress, name="springs")

@@ -21,6 +21,10 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 # By how much steps shrink where one led to a motion that cannot be computed.
 SHORTER = 0.5
 
+# How many times the usual stiffness is tried first, as powers of ten, stiff ones first: too soft, an object
+# falls through many a place where it once was. After so many in a row that are worse than the best, no more.
+TRIED, PATIENCE = tuple(np.arange(1.5, -1.6, -0.25)), 2
+
 Values = dict[str, np.ndarray]
 # Told the share of the work done, and a line.
 Progress = Callable[[float, str], None]
@@ -137,6 +141,32 @@ def _one(
         return
     fall = 0.5 * (1.0 + np.cos(np.pi * number / total))
     state.step(cost, gradient, {key: max(fall, 0.05) * rate for key, rate in plan.rates.items()})
+
+
+def begun_at(
+    values_at: Callable[[float], Values], cost_of: Callable[[Values], float], progress: Progress, *, name: str
+) -> Values:
+    """Values of the stiffness that costs least of a few. values_at: of a power of ten times the usual one.
+
+    Raises SimulationError where none can be run.
+    """
+    best: tuple[float, Values] | None = None
+    worse = 0
+    for power in TRIED:
+        values = values_at(power)
+        try:
+            cost = cost_of(values)
+        except SimulationError:
+            continue
+        progress(0.0, f"{name}: 10^{power:+.2f} times as stiff as usual, misfit {_misfit(cost):.4g}")
+        worse += 1
+        if best is None or cost < best[0]:
+            best, worse = (cost, values), 0
+        if worse >= PATIENCE:
+            break
+    if best is None:
+        raise SimulationError(f"{name}: no stiffness that was tried could be run")
+    return best[1]
 
 
 def trained_values(run: Run) -> Values:

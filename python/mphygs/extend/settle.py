@@ -39,16 +39,9 @@ def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float)
     """The model of a refit as a step. since: see `Step`."""
     added = (refit.entry.effect,)
     return Step(
-        refit.belief,
-        refit.solution,
-        refit.compared,
-        refit.assessment,
-        spacing,
-        added,
-        (),
-        tuple(refits),
-        since,
-    )
+        refit.belief, refit.solution, refit.compared, refit.assessment, spacing, added,
+        refits=tuple(refits), since=since,
+    )  # fmt: skip
 
 
 def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:

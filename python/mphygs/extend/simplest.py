@@ -18,8 +18,10 @@ from mphygs.model.belief import Belief
 
 
 def without_loads(experiment: Experiment) -> tuple[str, ...]:
-    """Fitted sequences that no known load pulls at; none where all or no sequence is such."""
-    simple = tuple(name for name in experiment.fitted if not experiment.capture.sequence(name).loads)
+    """Fitted sequences that no known load pulls at, of a file of numbers neither; none where all or no
+    sequence is such."""
+    recordings = {name: experiment.capture.sequence(name) for name in experiment.fitted}
+    simple = tuple(name for name, own in recordings.items() if not (own.loads or own.actuators))
     return simple if len(simple) < len(experiment.fitted) else ()
 
 

@@ -11,15 +11,15 @@ from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import TRACTABLE, about_its_scale, at_scales, find_scale, forget
+from mphygs.fit.schedule import HARDLY_WORSE, TRACTABLE, about_its_scale, at_scales, find_scale, forget
 from mphygs.model.belief import Belief
 
 # Diagnosis looks at the first frames over which the misfit is between this and TRACTABLE [sigma].
 VISIBLE = 1.25
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
 SHORTER = (0.16, 0.1, 0.06)
-# Common scales at which a gross model costs up to so many times the least are looked from, so many at most.
-HARDLY_WORSE, OTHERS = 2.0, 3
+# Of common scales at which a gross model is hardly worse than at the best so many are looked from.
+OTHERS = 3
 # The share of the frames that a first model was fitted to on its way.
 HALF = 0.5
 ON_THE_WAY = "passed on the way"

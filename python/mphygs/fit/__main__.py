@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
 
-import tyro
-
-from mphygs.baselines.kinds import Baseline, fit_baseline, maker_of
+from mphygs.baselines.kinds import fit_baseline, maker_of
 from mphygs.capture.format import Capture, load_capture
 from mphygs.claim import claim, clear
-from mphygs.command import Answer, CommonOptions, Console, OptionError, check_gain, names, run
+from mphygs.command import Answer, Console, OptionError, names, run
 from mphygs.fit.answer import answer_of, answer_text
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
@@ -26,85 +22,23 @@ from mphygs.fit.limits import narrowed_to_seen
 from mphygs.fit.marker_labels import well_labelled
 from mphygs.fit.of_run import HOMOGENEOUS, baseline_of, capture_of, feedback_document
 from mphygs.fit.one_sided import coarser_change, limits_of
-from mphygs.fit.paper_plan import check_windows
-from mphygs.fit.pictured_run import PARTS, fit_pictured, pictured_belief, with_shares
+from mphygs.fit.pictured_run import fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.profile import intervals
 from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.schedule import check_spacing, default_spacing
 from mphygs.fit.sensitivity import sensitivity_of
 from mphygs.fit.start import starting_belief
+from mphygs.fit_options import FitOptions, check_options
 from mphygs.image_stages import FOLDER, has_stages, kept_seconds, run_stages
 from mphygs.in_use import hold
-from mphygs.model.registry import USUAL_LAW, effects, laws
-from mphygs.model.substances import SUBSTANCES
-from mphygs.simulate.settings import Settings, available_cores, check_effects
+from mphygs.simulate.settings import Settings, available_cores
 from mphygs.simulate.timeline import MOST_SUBSTEPS
 
 PROGRAM = "mphygs fit"
 RUNS = Path("runs")
-Law = Literal[laws()]
-Preset = Literal[tuple(s.name for s in SUBSTANCES)]
 # Options that change no number: a resumed fit may have others.
 _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitOptions(CommonOptions):
-    """Fit materials, and the effects named, to a capture. Without CAPTURE: a small one made on the spot."""
-
-    capture: tyro.conf.Positional[Path | None] = None
-    """Folder of the capture."""
-    out: Path | None = None
-    """Run folder; default: runs/NAME-OF-THE-CAPTURE. A run that is there already is replaced."""
-    sequences: Annotated[str | None, tyro.conf.arg(metavar="A,B")] = None
-    """Sequences to fit; default: all with frames to fit."""
-    effects: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
-    """Physical effects and faults of measurement to fit as well."""
-    frames: Annotated[str | None, tyro.conf.arg(metavar="i:j")] = None
-    """Frames to fit, i to j - 1, instead of those that the capture states."""
-    schedule: Literal["fast", "paper"] = "fast"
-    """fast: growing stretches of the motion, coarse grid first; paper: the paper's
-    windows in mid-motion, each from the state that the markers give, by Adam on the adjoint."""
-    transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
-    """How particles and grid exchange momentum."""
-    spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
-    """Grid spacing [m]; default: from the object's volume."""
-    prestress: Literal["off", "paper", "equilibrium"] | None = None
-    """How the rest shape carries gravity; default: as the capture says."""
-    law: Law = USUAL_LAW
-    """Law of elasticity."""
-    preset: Preset | None = None
-    """What the object is made of, about: where stiffness and density start, and what stiffness is expected
-    to be."""
-    optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
-    """Of the fast schedule: Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, slower for so few
-    unknowns."""
-    stages: Path | None = None
-    """Of a capture in pictures: run folder whose stages (Gaussians, parts, tracks, contact) are used, and
-    made where they are missing; default: the run folder itself."""
-    without: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
-    """Of a capture in pictures, parts of the method to leave out: l2d (the stage on pictures), ldt (its
-    distance maps), lg (grouping of segments that look alike), windows (growing stretches of the motion),
-    prestress (the internal force that carries gravity at rest)."""
-    baseline: Baseline | None = None
-    """What others do, on this capture, in the method's place: homogeneous (one material, of a capture in
-    pictures fitted to silhouettes alone), springs (between anchors), neural (the elastic model and a residual
-    network), graph (a graph network), field (E as a smooth field), prior (of a capture in pictures: materials
-    by looks, no fit). `compare`, `predict` and `report` take its run."""
-    feedback: Annotated[float | None, tyro.conf.arg(metavar="[GAIN]")] = None
-    """Also the error of the fitted model under feedback from the measurement, beside the free one. Gain from
-    0 to 1, without a number 1: a memory of two frames."""
-    intervals: bool = False
-    """Also find each interval of two standard deviations from the likelihood: standard errors of a tenth of a
-    value and more are lopsided. A few short fits for each of its ends, which are counted from the minimum
-    itself: a fit that leaves more than noise stops short of it. Components of a direction have none."""
-    seed: int = 0
-    """Of everything random that is done with this run."""
-    workers: int | None = None
-    """Simulations side by side; default: one a core. Changes no number."""
-    resume: bool = False
-    """Continue the run in --out where it stopped."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -156,7 +90,7 @@ def fitted(
         for finding in () if recording.markers is None else recording.markers.findings:
             console.say(f"{recording.name}: {finding.text}")
     sensors = any(recording.sensors for recording in capture.sequences)
-    if sensors and (state.options.get("schedule") == "paper" or state.options.get("homogeneous")):
+    if sensors and (state.options.get("schedule") == "paper" or baseline_of(state) == HOMOGENEOUS):
         console.say("sensors: compared, but not fitted, which this way of fitting does to markers alone")
     console.begin()
     baseline = baseline_of(state)
@@ -218,45 +152,19 @@ def _check_duration(experiment: Experiment, state: Run) -> None:
             )
 
 
-def check_options(options: FitOptions) -> None:
-    """Options that can be judged without the capture."""
-    check_gain(options.feedback)
-    known = effects()
-    for name in names(options.effects):
-        if name not in known:
-            raise OptionError(
-                f"--effects: unknown effect '{name}'; expected some of {', '.join(sorted(known))}"
-            )
-    if options.spacing is not None and not 0.0 < options.spacing < math.inf:
-        raise OptionError(f"--spacing: got {options.spacing}; expected a length above zero [m]")
-    if options.workers is not None and options.workers < 1:
-        raise OptionError(f"--workers: got {options.workers}; expected 1 or more")
-    if options.schedule == "paper":
-        check_windows(names(options.effects))
-        if options.optimiser == "lbfgs":
-            raise OptionError("--optimiser lbfgs: not with --schedule paper, whose optimiser is adam")
-    for name in names(options.without):
-        if name not in PARTS:
-            raise OptionError(f"--without: unknown '{name}'; expected some of {', '.join(PARTS)}")
-    if options.baseline is not None:
-        _check_baseline(options)
-    check_effects(options.transfer, names(options.effects))
-
-
-def _check_baseline(options: FitOptions) -> None:
-    """A baseline is a model of its own: what is about the method's does not go with it."""
-    default = FitOptions()
-    own = ("without", "effects", "schedule", "optimiser")
-    if options.baseline != HOMOGENEOUS:
-        own += ("transfer", "law", "feedback", "intervals")
-    for key in own:
-        if getattr(options, key) != getattr(default, key):
-            raise OptionError(f"--baseline {options.baseline}: not with --{key}; expected it without")
-
-
 def _check_intervals(options: FitOptions, *, pictures: bool) -> None:
     if options.intervals and pictures:
         raise OptionError("--intervals: got a capture in pictures; expected one with markers")
+
+
+def _check_plain(options: FitOptions, capture: Capture) -> None:
+    """What a baseline that moves the object by a model of its own does not know of. Raises OptionError."""
+    for recording in capture.sequences:
+        more = "sensors" if recording.sensors else "loads of numbers in a file" if recording.actuators else ""
+        if more:
+            raise OptionError(
+                f"--baseline {options.baseline}: sequence '{recording.name}' has {more}; expected none"
+            )
 
 
 def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
@@ -277,11 +185,8 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))
         stages, capture = _seen(options, capture, out, console)
-    read = next((r.name for r in capture.sequences if r.sensors), None)
-    if read is not None and options.baseline not in (None, HOMOGENEOUS, "prior"):
-        raise OptionError(
-            f"--baseline {options.baseline}: sequence '{read}' has sensors; expected markers alone"
-        )
+    if options.baseline not in (None, HOMOGENEOUS, "prior"):
+        _check_plain(options, capture)
     if stages is None and options.baseline == "prior":
         raise OptionError(f"--baseline prior: {path} has markers; expected a capture in pictures")
     if stages is None and options.baseline == HOMOGENEOUS:

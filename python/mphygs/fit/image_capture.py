@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mphygs.capture.actuators import Actuator, Force, Tendon
 from mphygs.capture.checks import check_capture
 from mphygs.capture.errors import fault
 from mphygs.capture.format import Capture
@@ -117,16 +118,29 @@ def _held(recording: Recording, files: StageFolder) -> tuple[Hold, ...]:
     return (Hold(box, position, quaternion),)
 
 
+def _acting_from_frame(actuator: Actuator, placement: Placement) -> Actuator:
+    """What pulls, where it is told in the world: the direction of a force, the place of an anchor."""
+    if isinstance(actuator, Force):
+        return replace(actuator, values=actuator.values @ placement.rotation)
+    if isinstance(actuator, Tendon) and actuator.anchor is not None:
+        return replace(actuator, anchor=placement.of_world(actuator.anchor))
+    return actuator
+
+
 def _assembled_sequence(
     recording: Recording, files: StageFolder, parts: tuple[Part, ...], tracked: bool
 ) -> Recording:
     placement = placement_of(recording, files.folder)
     held = tuple(_from_frame(hold, placement) for hold in _held(recording, files))
     upright = np.array_equal(placement.rotation, np.eye(3))
-    # What is told along the axes of the world, as sensors are, turns into the frame of the sequence.
+    # What is told along the axes of the world turns into the frame of the sequence.
     sensors = tuple(replace(s, value=s.value @ placement.rotation) for s in recording.sensors)
+    loads = tuple(replace(d, force=np.asarray(d.force, float) @ placement.rotation) for d in recording.loads)
+    actuators = tuple(_acting_from_frame(a, placement) for a in recording.actuators)
     turn = None if upright else placement.rotation
-    recording = replace(recording, held=held, turn=turn, sensors=sensors)
+    recording = replace(
+        recording, held=held, turn=turn, sensors=sensors, loads=loads, actuators=actuators
+    )
     path = files.tracks(recording.name)
     if recording.markers is not None or not tracked or not path.is_file():
         return recording
