@@ -209,6 +209,18 @@ def test_a_table_tells_what_was_added_as_its_step_does() -> None:
     assert told[1] == rows[1]
 
 
+def test_the_table_of_a_step_has_the_numbers_of_the_step() -> None:
+    capture = bar_capture(frames=24, fps=100.0, fit=(0, 24))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=(KEY,)).with_effect("viscosity", {"eta": 20.0})
+    experiment = Experiment.of(recorded(capture, truth, COARSE), Settings(COARSE, workers=1))
+    row = {"effect": "viscosity", "estimate": {"eta": 1.0}, "std": {"eta": 1e-9}}
+    step = replace(step_at(experiment, truth, COARSE, added=("viscosity",)), table=(row,))
+    document = step_document(step, experiment, ())
+    entry = document["parameters"]["viscosity.eta"]
+    assert entry["determined"]
+    assert document["table"] == [row | {"estimate": {"eta": entry["value"]}, "std": {"eta": entry["std"]}}]
+
+
 def test_a_step_of_which_no_grid_told_counts_what_a_coarser_one_changes() -> None:
     """Recorded on a fine grid and fitted on a coarse one, without a refinement: the stiffness is off by many
     of the noise's deviations, and by few of those that it is told with."""

@@ -101,6 +101,10 @@ def test_errors_of_frames_are_over_the_noise_of_these_frames() -> None:
     free = replace(predictor.attachment, hold=np.full(MARKERS, -1))
     seen = observe(replace(recording, markers=markers), free)
     assert seen.course is not None
+    white = seen.whitener(0, FRAMES)
+    rows = white.whiten(markers.position - true)
+    for part in (white.frame < 20, white.frame >= 60):
+        assert np.mean(rows[part] ** 2) == pytest.approx(1.0, abs=0.25)
     document = plain(noise_document({"a": seen}))
     assert document["a"]["lowest"] < 0.6 * SIGMA and document["a"]["highest"] > 1.3 * SIGMA
     assert "changes over the frames" in noise_lines(document)[0]
