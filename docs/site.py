@@ -104,7 +104,7 @@ def commands_page() -> str:
     for name, (module_name, summary) in COMMANDS.items():
         module = importlib.import_module(module_name)
         options = getattr(module, f"{name.capitalize()}Options")
-        told = _told_of(module, options)
+        told = _told_of(options)
         lines += [f"## {name}", "", f"{summary[:1].upper()}{summary[1:]}.", ""]
         for field in fields(options):
             if field.name in ("json", "plugin"):
@@ -118,10 +118,10 @@ def commands_page() -> str:
     return "\n".join(lines)
 
 
-def _told_of(module: object, options: type) -> dict[str, str]:
+def _told_of(options: type) -> dict[str, str]:
     """What stands below each option in the source."""
-    tree = ast.parse(inspect.getsource(module))
-    own = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == options.__name__)
+    own = ast.parse(inspect.getsource(options)).body[0]
+    assert isinstance(own, ast.ClassDef)
     told = {}
     for before, after in zip(own.body[:-1], own.body[1:], strict=True):
         if isinstance(before, ast.AnnAssign) and isinstance(after, ast.Expr):

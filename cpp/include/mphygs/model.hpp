@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -83,6 +84,12 @@ struct Schedule {
         return n;
     }
     int frame_count() const { return static_cast<int>(steps.size()); }
+    /// (F,) the number of the first substep of every output interval.
+    std::vector<int> first_steps() const {
+        std::vector<int> first(steps.size());
+        std::exclusive_scan(steps.begin(), steps.end(), first.begin(), 0);
+        return first;
+    }
 };
 
 struct Settings {

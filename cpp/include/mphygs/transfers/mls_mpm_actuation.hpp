@@ -21,11 +21,7 @@ class MlsActuation {
         for (int l = 0; l < lanes; ++l) {
             seen_[l].resize(step_.seen.size());
         }
-        int first = 0;
-        for (const int steps : schedule.steps) {
-            first_step_.push_back(first);
-            first += steps;
-        }
+        first_step_ = schedule.first_steps();
     }
 
     /// Moves to the forces of substep n.

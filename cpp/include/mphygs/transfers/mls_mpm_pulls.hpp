@@ -25,11 +25,7 @@ class MlsPulls {
         for (int l = 0; l < lanes; ++l) {
             pulled_[l].resize(3 * stride_);
         }
-        int first = 0;
-        for (const int steps : schedule.steps) {
-            first_step_.push_back(first);
-            first += steps;
-        }
+        first_step_ = schedule.first_steps();
     }
 
     /// Moves to the forces of substep n; false where nothing pulls then, and nothing is given.

@@ -50,11 +50,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         if (!model.geometry_.actuation.empty() && !inputs.primal->channel.empty()) {
             actuation_.emplace(model.geometry_.actuation);
         }
-        int first = 0;
-        for (const int steps : schedule.steps) {
-            first_step_.push_back(first);
-            first += steps;
-        }
+        first_step_ = schedule.first_steps();
     }
 
     /// Substep `n` of the whole run, in output interval `frame`. pulled: the observer's pulls are known already.
