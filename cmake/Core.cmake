@@ -3,7 +3,7 @@
 # A portable build compiles everything for x86-64-v2, -v3 and -v4 into modules of their own, and a
 # small module that asks the processor; mphygs/_load_core.py picks. On other machines than x86-64
 # portable means the compiler's default.
-file(GLOB core_sources CONFIGURE_DEPENDS cpp/src/*.cpp)
+file(GLOB core_sources CONFIGURE_DEPENDS cpp/src/*/*.cpp)
 file(GLOB binding_sources CONFIGURE_DEPENDS cpp/bindings/*.cpp)
 list(FILTER binding_sources EXCLUDE REGEX "processor\\.cpp$")
 

@@ -1,4 +1,4 @@
-#include "mphygs/equilibrium.hpp"
+#include "mphygs/total_lagrangian/equilibrium.hpp"
 
 #include "arrays.hpp"
 #include "fields.hpp"

@@ -1,4 +1,4 @@
-#include "mphygs/transfers/mls_mpm.hpp"
+#include "mphygs/mls_mpm/model.hpp"
 
 #include "arrays.hpp"
 #include "fields.hpp"

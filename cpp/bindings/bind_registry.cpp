@@ -1,6 +1,6 @@
 #include "fields.hpp"
 #include "mphygs/model.hpp"
-#include "mphygs/registry.hpp"
+#include "mphygs/physics/registry.hpp"
 
 namespace mphygs_python {
 

@@ -1,5 +1,5 @@
-#include "mphygs/splatting.hpp"
-#include "mphygs/splatting_similarity.hpp"
+#include "mphygs/splatting/similarity.hpp"
+#include "mphygs/splatting/splatting.hpp"
 
 #include <limits>
 #include <memory>

@@ -2,8 +2,8 @@
 
 #include "arrays.hpp"
 #include "fields.hpp"
+#include "mphygs/total_lagrangian/model.hpp"
 #include "point_hook.hpp"
-#include "mphygs/transfers/total_lagrangian.hpp"
 
 namespace mphygs_python {
 

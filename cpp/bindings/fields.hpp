@@ -4,7 +4,7 @@
 #include <optional>
 
 #include "arrays.hpp"
-#include "mphygs/transfers/total_lagrangian.hpp"
+#include "mphygs/total_lagrangian/model.hpp"
 
 namespace mphygs_python {
 

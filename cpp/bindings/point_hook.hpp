@@ -4,7 +4,7 @@
 #include <stdexcept>
 
 #include "arrays.hpp"
-#include "mphygs/point_hook.hpp"
+#include "mphygs/physics/point_hook.hpp"
 
 namespace mphygs_python {
 

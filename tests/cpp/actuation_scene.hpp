@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include "mphygs/actuation.hpp"
+#include "mphygs/physics/actuation.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs::test {

@@ -5,7 +5,7 @@
 #include <memory>
 
 #include "effect_values.hpp"
-#include "mphygs/transfers/total_lagrangian.hpp"
+#include "mphygs/total_lagrangian/model.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs::test {

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "effect_values.hpp"
-#include "mphygs/registry.hpp"
+#include "mphygs/physics/registry.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs::test {

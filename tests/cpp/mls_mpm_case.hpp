@@ -5,8 +5,8 @@
 #include <random>
 
 #include "effect_values.hpp"
-#include "mphygs/registry.hpp"
-#include "mphygs/transfers/mls_mpm.hpp"
+#include "mphygs/mls_mpm/model.hpp"
+#include "mphygs/physics/registry.hpp"
 
 namespace mphygs::test {
 

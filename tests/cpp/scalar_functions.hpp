@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "mphygs/tape.hpp"
+#include "mphygs/numerics/tape.hpp"
 
 namespace mphygs::test {
 

@@ -3,8 +3,8 @@
 
 #include <cmath>
 
-#include "mphygs/dual.hpp"
 #include "mphygs/effects/base_motion.hpp"
+#include "mphygs/numerics/dual.hpp"
 
 namespace mphygs {
 namespace {

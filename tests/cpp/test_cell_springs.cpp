@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "bar_scene.hpp"
-#include "mphygs/transfers/cell_springs.hpp"
+#include "mphygs/total_lagrangian/cell_springs.hpp"
 
 namespace mphygs {
 namespace {

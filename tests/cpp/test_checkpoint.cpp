@@ -4,7 +4,7 @@
 #include <cmath>
 #include <memory>
 
-#include "mphygs/checkpoint.hpp"
+#include "mphygs/numerics/checkpoint.hpp"
 
 namespace mphygs {
 namespace {

@@ -1,7 +1,7 @@
 // Holds as constraints: what a solve leaves behind.
 #include <gtest/gtest.h>
 
-#include "mphygs/constraint.hpp"
+#include "mphygs/physics/constraint.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs {

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <functional>
 
-#include "mphygs/lanes.hpp"
+#include "mphygs/physics/lanes.hpp"
 #include "scalar_functions.hpp"
 
 namespace mphygs {

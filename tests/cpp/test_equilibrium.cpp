@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "bar_scene.hpp"
-#include "mphygs/equilibrium.hpp"
+#include "mphygs/total_lagrangian/equilibrium.hpp"
 
 namespace mphygs {
 namespace {

@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "mphygs/registry.hpp"
+#include "mphygs/physics/registry.hpp"
 
 namespace mphygs {
 namespace {

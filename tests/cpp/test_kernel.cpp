@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "mphygs/transfers/direction_sums.hpp"
+#include "mphygs/total_lagrangian/direction_sums.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs {

@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-#include "mphygs/polar.hpp"
+#include "mphygs/numerics/polar.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs {

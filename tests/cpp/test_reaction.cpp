@@ -9,7 +9,7 @@
 #include <string>
 
 #include "bar_scene.hpp"
-#include "mphygs/reaction.hpp"
+#include "mphygs/physics/reaction.hpp"
 
 namespace mphygs {
 namespace {

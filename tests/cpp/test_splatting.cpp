@@ -3,8 +3,8 @@
 
 #include <cmath>
 
-#include "mphygs/splatting.hpp"
-#include "mphygs/splatting_similarity.hpp"
+#include "mphygs/splatting/similarity.hpp"
+#include "mphygs/splatting/splatting.hpp"
 
 namespace {
 

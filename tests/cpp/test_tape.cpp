@@ -1,7 +1,7 @@
 // Recorded adjoints against dual numbers and against central differences.
 #include <gtest/gtest.h>
 
-#include "mphygs/polar.hpp"
+#include "mphygs/numerics/polar.hpp"
 #include "random_numbers.hpp"
 #include "scalar_functions.hpp"
 

@@ -1,11 +1,11 @@
 // Vectors in halves do what the compiler's own do, on any processor: the halves here are always of four lanes.
-#include "mphygs/vector.hpp"
+#include "mphygs/numerics/vector.hpp"
 
 #include <gtest/gtest.h>
 
 #include <cstdint>
 
-#include "mphygs/pack.hpp"
+#include "mphygs/numerics/pack.hpp"
 
 namespace {
 

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <string>
 
-#include "mphygs/registry.hpp"
+#include "mphygs/physics/registry.hpp"
 #include "random_numbers.hpp"
 
 namespace mphygs {

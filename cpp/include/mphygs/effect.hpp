@@ -30,8 +30,8 @@
 #include <concepts>
 #include <cstddef>
 
-#include "mphygs/descriptor.hpp"
 #include "mphygs/material.hpp"
+#include "mphygs/physics/descriptor.hpp"
 
 namespace mphygs {
 

@@ -5,7 +5,7 @@
 //
 //   static constexpr bool usual = true         it is taken where none is named; of one law alone
 //   static constexpr bool linearised = true    it has a hand-written `Linearised`, and the transfers' fast paths
-//                                              are its own (mls_mpm_plain.hpp has its formula); of one law alone
+//                                              are its own (mls_mpm/plain.hpp has its formula); of one law alone
 #pragma once
 
 #include <type_traits>

@@ -9,8 +9,8 @@
 #include <string>
 #include <vector>
 
-#include "mphygs/actuation.hpp"
 #include "mphygs/effect.hpp"
+#include "mphygs/physics/actuation.hpp"
 
 namespace mphygs {
 

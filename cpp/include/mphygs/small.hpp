@@ -1,7 +1,7 @@
 // Three-vectors and 3x3 matrices over any scalar (number, Pack, Dual, Var).
 #pragma once
 
-#include "mphygs/tape.hpp"
+#include "mphygs/numerics/tape.hpp"
 
 namespace mphygs {
 

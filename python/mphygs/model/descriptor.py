@@ -1,7 +1,7 @@
 """What an effect says of itself: where it acts, its numbers, and the part that each of them plays.
 
 General code reads this and knows no effect by name. Effects in C++ say the same: see
-cpp/include/mphygs/descriptor.hpp.
+cpp/include/mphygs/physics/descriptor.hpp.
 """
 
 from __future__ import annotations

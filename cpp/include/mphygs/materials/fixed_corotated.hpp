@@ -2,7 +2,7 @@
 // Source: Stomakhin, Howes, Schroeder, Teran, "Energetically consistent invertible elasticity", 2012.
 #pragma once
 
-#include "mphygs/polar.hpp"
+#include "mphygs/numerics/polar.hpp"
 
 namespace mphygs {
 

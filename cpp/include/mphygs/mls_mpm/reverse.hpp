@@ -1,0 +1,312 @@
+// Adjoint of the MLS-MPM run: its substeps backwards, and its start.
+#pragma once
+
+#include "mphygs/mls_mpm/step_reverse.hpp"
+#include "mphygs/numerics/checkpoint.hpp"
+
+namespace mphygs {
+
+template <class T>
+class MlsMpmReverse : public MlsStepReverse<T> {
+  public:
+    using Steps = MlsStepReverse<T>;
+    using typename Steps::P;
+    using Loss = typename MlsMpm<T>::Loss;
+    using Steps::Steps;
+
+    /// loss is called once, with the whole trajectory where `keep` asks for it.
+    Fields<T> gradient(const Loss& loss, bool keep, const Progress& progress, long* recomputed) {
+        const int steps = table_.count();
+        keep_ = keep;
+        keep_frame(0);
+        run_.begin();
+        bar_order_ = run_.state_.order;
+        const std::size_t particles = (run_.state_.moving.size() + run_.state_.history.size()) * sizeof(T);
+        const std::size_t bytes = particles + run_.state_.grid.size() * 2 * sizeof(T);  // a box may grow
+        const auto advance = [&](int n, MlsState<T>* record) {
+            run_.step(n, record);
+            if (table_.is_frame(n + 1)) {
+                keep_frame(table_.frame_of_state(n + 1));
+            }
+        };
+        const auto forward = [&](int n) { advance(n, nullptr); };
+        const auto save = [&] { return run_.state_; };
+        const auto restore = [&](const MlsState<T>& s) { run_.state_ = s; };
+        const auto forward_recorded = [&](int n) {
+            MlsState<T> s;
+            advance(n, &s);
+            return s;
+        };
+        bool first = true;
+        const auto backward = [&](int n, MlsState<T>& record) {
+            if (first) {
+                take_loss(loss);
+                first = false;
+            }
+            if (table_.is_frame(n + 1) && progress && !progress(table_.frame_of_state(n + 1))) {
+                throw SimulationError("interrupted");
+            }
+            reverse_step(n, record);
+            if (n == 0) {
+                reverse_start(record);
+            }
+            model_.workspace_->moving.give(std::move(record.moving));
+            model_.workspace_->grid.give(std::move(record.grid));
+        };
+        const long computed =
+            reverse_all(steps, bytes, bytes, model_.settings_.memory_budget, save, restore, forward, forward_recorded, backward);
+        if (first) {
+            take_loss(loss);
+        }
+        if (recomputed) {
+            *recomputed = computed - steps;
+        }
+        return collect();
+    }
+
+  private:
+
+    void keep_frame(int frame) {
+        if (!keep_ || frame < kept_) {
+            return;
+        }
+        const std::size_t count = model_.particle_count(), at = static_cast<std::size_t>(frame);
+        trajectory_.position.resize((at + 1) * 3 * count);
+        trajectory_.velocity.resize((at + 1) * 3 * count);
+        trajectory_.deformation.resize((at + 1) * 9 * count);
+        run_.output(0, &trajectory_.position[at * 3 * count], &trajectory_.velocity[at * 3 * count],
+                    &trajectory_.deformation[at * 9 * count]);
+        kept_ = frame + 1;
+    }
+
+    void take_loss(const Loss& loss) {
+        bar_ = loss(trajectory_);
+        const std::size_t count = model_.particle_count();
+        const std::size_t frames = static_cast<std::size_t>(table_.frame_of_state(table_.count())) + 1;
+        const auto size = [](const std::vector<T>& v, std::size_t wanted, const char* name) {
+            if (!v.empty() && v.size() != wanted) {
+                throw std::invalid_argument(std::string("the bar of the ") + name + " has " + std::to_string(v.size()) +
+                                            " numbers, expected " + std::to_string(wanted));
+            }
+        };
+        size(bar_.position, frames * 3 * count, "position");
+        size(bar_.velocity, frames * 3 * count, "velocity");
+        size(bar_.deformation, frames * 9 * count, "deformation");
+        const std::size_t reactions = this->schedule_.reaction_weight.empty() ? 0 : frames * wrench_size * static_cast<std::size_t>(model_.geometry_.hold_count);
+        if (!bar_.reaction.empty() && bar_.reaction.size() != reactions) {
+            throw std::invalid_argument("the bar of the reactions must be (frames + 1, holds, 6), and the schedule ask for them");
+        }
+    }
+
+    /// The initial scatter, and the rounds that found C_0, backwards; record: state 0.
+    void reverse_start(const MlsState<T>& record) {
+        const std::size_t size = record.order->size, count = model_.particle_count();
+        v_bar_.assign(3 * size, T{});
+        // The rounds once more: the grid and C before each of them.
+        run_.state_ = record;
+        std::fill(run_.state_.history.begin(), run_.state_.history.end(), T{});
+        const std::vector<T> no_history = run_.state_.history;
+        run_.start_velocity_.assign(3 * size, T{});
+        run_.start_affine_.assign(9 * size, T{});
+        for (std::size_t p = 0; p < size; ++p) {
+            const std::size_t i = std::min(static_cast<std::size_t>(record.order->id[p]), count - 1);
+            for (std::size_t c = 0; c < 3 && !fields_.velocity0.empty(); ++c) {
+                run_.start_velocity_[c * size + p] = fields_.velocity0[3 * i + c];
+            }
+        }
+        std::vector<Buffer<T>> grid;
+        std::vector<std::vector<T>> affine;
+        for (int round = 0; round < run_.start_rounds(); ++round) {
+            run_.start_round(record.box, round > 0, false);
+            grid.push_back(run_.state_.grid);
+            affine.push_back(run_.start_affine_);
+        }
+        // The real scatter, with C_0 from the last of them.
+        c_bar_.assign(9 * size, T{});
+        run_.forces_.refresh(0);
+        const bool pulled = run_.pulls_ && run_.pulls_->enter(0);
+        if (pulled) {
+            run_.follow(record.order);
+            run_.pulls_->see_start(record.moving.data(), run_.start_velocity_);
+            run_.pulls_->spread(*run_.team_);
+        }
+        if (run_.actuation_) {
+            run_.actuation_->enter(0);
+            run_.follow_loads(record.order);
+            run_.actuation_->see_start(record.moving.data(), run_.start_velocity_);
+            run_.actuation_->spread();
+        }
+        clear_sums();
+        start_tiles(record, [&](std::size_t c, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
+            if (!grid.empty()) {
+                gather_tile<T, 0>(tile, grid.back().data(), 0, model_.axis_, record.box);
+            }
+            for (int k = 0; k < tile_packs; ++k) {
+                if (!grid.empty()) {
+                    points[k].c = run_.affine_velocity(tile.get_n(k));
+                }
+                add_seeds(0, *record.order, t + static_cast<std::size_t>(k * lane_count), bars[k]);
+            }
+            reverse_given(c, t, *record.order, points, no_history.data(), bars);
+        });
+        add_sums(0);
+        if (pulled) {
+            run_.pulls_->reverse(given_bar_, target_bar_);
+            run_.pulls_->unsee_start(bars_.data(), v_bar_);
+        }
+        if (run_.actuation_) {
+            run_.actuation_->reverse(pushed_bar_, channel_bar_, pose_bar_);
+            run_.actuation_->unsee_start(bars_.data(), v_bar_);
+        }
+        for (int round = run_.start_rounds() - 1; round >= 0; --round) {
+            // C of the next round was gathered from this grid ...
+            const MlsState<T> here{record.order, {}, {}, grid[static_cast<std::size_t>(round)], record.box, record.ranges};
+            grids_.prepare(record.box, record.ranges);
+            start_tiles(record, [&](std::size_t c, std::size_t, MlsTile<T, 0>& tile, ParticlePoint<P>*, ParticlePoint<P>* bars) {
+                gather_tile<T, 0>(tile, here.grid.data(), 0, model_.axis_, record.box);
+                alignas(64) T velocity[3][tile_size];
+                std::memcpy(velocity, tile.q[0], sizeof velocity);
+                for (int k = 0; k < tile_packs; ++k) {
+                    tile.set_q(k, {});
+                    tile.set_n(k, run_.affine_velocity(bars[k].c));
+                    tile.set_mass(k, P{});
+                    bars[k].c = {};
+                }
+                TileSlope<T> slope;
+                reverse_gather_rows<T>(tile, velocity, here.grid.data(), grids_.private_grid(c), model_.axis_, record.box, slope);
+                for (int k = 0; k < tile_packs; ++k) {
+                    add_slope(slope, k, bars[k].x);
+                }
+            });
+            grid_bar(here);
+            // ... to which m v_0 and m C of this round were given.
+            run_.start_affine_ = affine[static_cast<std::size_t>(round)];
+            start_tiles(record, [&](std::size_t, std::size_t t, MlsTile<T, 0>& tile, ParticlePoint<P>* points, ParticlePoint<P>* bars) {
+                for (int k = 0; k < tile_packs; ++k) {
+                    run_.give_velocity(tile, k, t + static_cast<std::size_t>(k * lane_count), points[k]);
+                }
+                MlsTile<T, 0> given;
+                TileSlope<T> slope;
+                reverse_scatter_rows<T>(tile, bar_grid_.data(), model_.axis_, record.box, given, slope);
+                for (int k = 0; k < tile_packs; ++k) {
+                    add_slope(slope, k, bars[k].x);
+                    const P mass = tile.get_mass(k);
+                    const Vec3<P> momentum_bar = given.get_q(k);
+                    const Mat3<P> affine_bar = broadcast<T>(static_cast<T>(model_.geometry_.spacing)) * given.get_n(k);
+                    const P mass_bar = given.get_mass(k) + dot(momentum_bar, points[k].v) + inner(affine_bar, points[k].c);
+                    bars[k].v = bars[k].v + mass * momentum_bar;
+                    bars[k].c = bars[k].c + mass * affine_bar;
+                    T* to = particles_.at(fixed_mass, t + static_cast<std::size_t>(k * lane_count));
+                    store<T>(to, load<T>(to) + mass_bar);
+                }
+            });
+        }
+    }
+
+    /// f(chunk, first particle, tile, points, bars) for the tiles of the initial state; keeps the bars.
+    template <class F>
+    void start_tiles(const MlsState<T>& record, F&& f) {
+        const std::size_t size = record.order->size;
+        for (std::size_t c = 0; c < record.ranges.size(); ++c) {
+            const CellRange limits = inside(record.box, record.ranges[c]);
+            SeenRange<Pack<T>> ignored;
+            MlsTile<T, 0> tile;
+            for (std::size_t t = run_.chunk_begin(c); t < run_.chunk_begin(c + 1); t += tile_size) {
+                ParticlePoint<P> points[tile_packs], bars[tile_packs];
+                for (int k = 0; k < tile_packs; ++k) {
+                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                    points[k] = run_.load_start(p);
+                    locate(tile, k, points[k].x, run_.inverse_spacing_, model_.axis_, record.box, limits, ignored);
+                    bars[k] = load_moving<T, 0>(bars_.data(), size, p);
+                    for (std::size_t a = 0; a < 3; ++a) {
+                        bars[k].v[static_cast<int>(a)] = load<T>(&v_bar_[a * size + p]);
+                    }
+                    for (std::size_t e = 0; e < 9; ++e) {
+                        bars[k].c.e[e / 3][e % 3] = load<T>(&c_bar_[e * size + p]);
+                    }
+                }
+                f(c, t, tile, points, bars);
+                for (int k = 0; k < tile_packs; ++k) {
+                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
+                    store_moving<T, 0>(bars_.data(), size, p, bars[k]);
+                    for (std::size_t a = 0; a < 3; ++a) {
+                        store<T>(&v_bar_[a * size + p], bars[k].v[static_cast<int>(a)]);
+                    }
+                    for (std::size_t e = 0; e < 9; ++e) {
+                        store<T>(&c_bar_[e * size + p], bars[k].c.e[e / 3][e % 3]);
+                    }
+                }
+            }
+        }
+    }
+
+    Fields<T> collect() {
+        flush();
+        const std::size_t count = model_.particle_count(), size = model_.padded_;
+        for (std::size_t i = 0; i < model_.geometry_.hold.size(); ++i) {
+            mass_[i] *= model_.geometry_.hold[i] >= 0 ? model_.settings_.hold_weight : 1.0;
+        }
+        if (table_.count() == 0) {  // the loss sees the initial state alone
+            v_bar_.assign(3 * size, T{});
+            for (std::size_t p = 0; p < size; p += lane_count) {
+                ParticlePoint<P> bar{};
+                add_seeds(0, *bar_order_, p, bar);
+                store_moving<T, 0>(bars_.data(), size, p, bar);
+                for (std::size_t c = 0; c < 3; ++c) {
+                    store<T>(&v_bar_[c * size + p], bar.v[static_cast<int>(c)]);
+                }
+            }
+        }
+        Fields<T> out;
+        const auto narrow = [](const std::vector<double>& from) { return std::vector<T>(from.begin(), from.end()); };
+        out.mu = narrow(mu_);
+        out.lambda = narrow(lambda_);
+        out.stress_volume = narrow(volume_);
+        if (model_.sites_.mass) {
+            for (const std::int32_t p : model_.place_particle_) {
+                out.place_mass.push_back(static_cast<T>(mass_[static_cast<std::size_t>(p)]));
+            }
+        }
+        out.mass.resize(count);
+        for (std::size_t i = 0; i < count; ++i) {
+            out.mass[i] = static_cast<T>(mass_[i] + own_mass_[i]);
+        }
+        out.effect = narrow(parameter_bar_);
+        out.place_effect = narrow(forces_.place_effect_bar);
+        out.gravity = {static_cast<T>(gravity_bar_[0]), static_cast<T>(gravity_bar_[1]), static_cast<T>(gravity_bar_[2])};
+        out.displacement0.resize(3 * count);
+        out.velocity0.resize(fields_.velocity0.size());
+        out.deformation0.resize(9 * count);
+        for (std::size_t p = 0; p < size; ++p) {
+            const std::size_t i = static_cast<std::size_t>(bar_order_->id[p]);
+            // Padding stands on the last particle but gives nothing: its bars are zero.
+            for (std::size_t c = 0; i < count && c < 3; ++c) {
+                out.displacement0[3 * i + c] = bars_[slot_of(c, moving_numbers, p)];
+                if (!out.velocity0.empty()) {
+                    out.velocity0[3 * i + c] = v_bar_[c * size + p];
+                }
+            }
+            for (std::size_t k = 0; i < count && k < 9; ++k) {
+                out.deformation0[9 * i + k] = bars_[slot_of(3 + k, moving_numbers, p)];
+            }
+        }
+        out.node_force = forces_.node_force_bar;
+        out.pose = narrow(pose_bar_);
+        out.target = narrow(target_bar_);
+        out.channel = narrow(channel_bar_);
+        return out;
+    }
+
+    using Steps::add_seeds, Steps::add_slope, Steps::add_sums, Steps::bar_, Steps::bar_grid_, Steps::bar_order_, Steps::bars_;
+    using Steps::channel_bar_, Steps::clear_sums, Steps::fields_, Steps::flush, Steps::forces_, Steps::given_bar_, Steps::gravity_bar_, Steps::grid_bar, Steps::grids_;
+    using Steps::inside, Steps::lambda_, Steps::mass_, Steps::model_, Steps::mu_, Steps::own_mass_, Steps::parameter_bar_;
+    using Steps::particles_, Steps::pose_bar_, Steps::pushed_bar_, Steps::reverse_given, Steps::reverse_step, Steps::run_, Steps::table_;
+    using Steps::target_bar_, Steps::volume_;
+
+    ParticleTrajectory<T> trajectory_;
+    bool keep_ = false;
+    int kept_ = 0;
+    std::vector<T> v_bar_, c_bar_;  // (3 or 9, size)
+};
+
+}  // namespace mphygs

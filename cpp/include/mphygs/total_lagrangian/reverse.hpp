@@ -1,0 +1,380 @@
+// Adjoint of the total-Lagrangian run: the steps of TotalLagrangianRun<T, 0>, backwards.
+#pragma once
+
+#include "mphygs/numerics/checkpoint.hpp"
+#include "mphygs/total_lagrangian/hook_reverse.hpp"
+
+namespace mphygs {
+
+template <class T>
+class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
+  public:
+    using Forces = TotalLagrangianForcesReverse<T>;
+
+    /// What one substep leaves behind for its reversal.
+    struct Record {
+        std::vector<T> u, v, f;
+        std::vector<Pack<T>> history;
+        std::vector<double> reactions;
+    };
+
+    TotalLagrangianReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
+                           const Trajectory<T>& bar, const PointHook<T>* hook, const Observer* observer, Team& team)
+        : Forces(model, fields, schedule, hook, observer, team), schedule_(schedule), bar_(bar) {
+        double time = schedule.start;
+        for (int f = 0; f < schedule.frame_count(); ++f) {
+            for (int s = 0; s < schedule.steps[static_cast<std::size_t>(f)]; ++s) {
+                const double dt = schedule.dt[static_cast<std::size_t>(f)];
+                step_time_.push_back(time + s * dt);
+                step_dt_.push_back(dt);
+                step_frame_.push_back(f);
+            }
+            // As the rollout adds it: the steps computed again have the same bits.
+            time += schedule.steps[static_cast<std::size_t>(f)] * schedule.dt[static_cast<std::size_t>(f)];
+        }
+    }
+
+    Fields<T> gradient(const Progress& progress, long* recomputed) {
+        const int steps = schedule_.total_steps();
+        const std::size_t state_bytes = 2 * run_.size_ * sizeof(T) + run_.history_.size() * sizeof(Pack<T>);
+        const std::size_t record_bytes =
+            state_bytes + run_.size_ * sizeof(T) + run_.lambda_rows_.size() * sizeof(double);
+        const auto forward = [&](int n) {
+            run_.step(n, step_frame_[index(n)], step_time_[index(n)], step_dt_[index(n)]);
+            if (n + 1 == steps || step_frame_[index(n + 1)] != step_frame_[index(n)]) {
+                stop_if_unstable(step_frame_[index(n)] + 1, step_time_[index(n)] + step_dt_[index(n)]);
+            }
+        };
+        const auto save = [&] { return Record{run_.u_, run_.v_, {}, run_.history_, {}}; };
+        const auto restore = [&](const Record& r) {
+            run_.u_ = r.u;
+            run_.v_ = r.v;
+            run_.history_ = r.history;
+        };
+        const auto forward_recorded = [&](int n) {
+            Record r = save();
+            forward(n);
+            r.f = run_.f_;
+            r.reactions = run_.lambda_rows_;
+            return r;
+        };
+        const auto backward = [&](int n, const Record& r) {
+            if (n + 1 == steps || step_frame_[index(n + 1)] != step_frame_[index(n)]) {
+                const int frame = step_frame_[index(n)] + 1;
+                add_bar(frame);
+                if (progress && !progress(frame)) {
+                    throw SimulationError("interrupted");
+                }
+            }
+            restore(r);
+            reverse_step(n, r);
+        };
+        const long computed = reverse_all(steps, state_bytes, record_bytes, model_.settings_.memory_budget, save, restore,
+                                          forward, forward_recorded, backward);
+        if (recomputed) {
+            *recomputed = computed - steps;
+        }
+        add_bar(0);
+        return collect();
+    }
+
+  private:
+
+    void stop_if_unstable(int frame, double time) {
+        if (!run_.finite()) {
+            throw model_.failure(run_.u_, frame, time);
+        }
+    }
+
+    void add_bar(int frame) {
+        const std::size_t nodes = model_.node_count();
+        const std::size_t from = static_cast<std::size_t>(frame) * 3 * nodes;
+        for (std::size_t n = 0; n < nodes; ++n) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                if (!bar_.displacement.empty()) {
+                    ubar_[run_.at(0, c, n)] += bar_.displacement[from + 3 * n + c];
+                }
+                if (!bar_.velocity.empty()) {
+                    vbar_[run_.at(0, c, n)] += bar_.velocity[from + 3 * n + c];
+                }
+            }
+        }
+    }
+
+    void reverse_step(int n, const Record& r) {
+        const double dt = step_dt_[index(n)];
+        const double time = step_time_[index(n)];
+        const T h = static_cast<T>(dt);
+        // u_n+1 = u_n + dt v_n+1
+        for (std::size_t i = 0; i < vbar_.size(); ++i) {
+            vbar_[i] += h * ubar_[i];
+        }
+        reverse_hold(n, r, dt);
+        // Nodes without mass stay where they are.
+        for (std::size_t i = 0; i < run_.stride_; ++i) {
+            if (run_.inverse_mass_[i] == T{}) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    vbar_[run_.at(0, c, i)] = T{};
+                }
+            }
+        }
+        // v* = v + dt (f / m + gravity + effects)
+        const int frame = step_frame_[index(n)];
+        for (std::size_t c = 0; c < 3; ++c) {
+            double gravity = 0;
+            for (std::size_t i = 0; i < model_.node_count(); ++i) {
+                const std::size_t k = run_.at(0, c, i);
+                const T abar = h * vbar_[k];
+                gravity += static_cast<double>(abar);
+                fbar_[k] = abar * run_.inverse_mass_[i];
+                inverse_mass_bar_[i] += static_cast<double>(abar) * static_cast<double>(r.f[k]);
+                if (!node_force_bar_.empty()) {
+                    node_force_bar_[(static_cast<std::size_t>(frame) * model_.node_count() + i) * 3 + c] += fbar_[k];
+                }
+            }
+            gravity_bar_[c] += gravity;
+        }
+        pulled_ = run_.observer_ && run_.observer_->pulls(index(frame));
+        if (pulled_) {
+            run_.observer_->pull_bar(h, vbar_.data(), asked_bar_);
+        }
+        all_uniforms(model_.slots_, run_.parameters_.data(), static_cast<T>(time), h, run_.plain_uniforms_.data());
+        for (std::size_t i = 0; i < run_.uniforms_.size(); ++i) {
+            run_.uniforms_[i] = broadcast<T>(run_.plain_uniforms_[i]);
+        }
+        for (auto& u : chunk_uniform_bar_) {
+            std::fill(u.begin(), u.end(), 0.0);
+        }
+        if (model_.sites_.body) {
+            reverse_body(time, h);
+        }
+        if (model_.sites_.point) {
+            reverse_places(time);
+        }
+        if (run_.inputs_.hook) {
+            reverse_hook(time, dt);
+        }
+        run_.team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) {
+            reverse_chunk(static_cast<std::size_t>(c), time, dt);
+        });
+        for (std::size_t c = 0; c < model_.chunks_.size(); ++c) {
+            const auto& chunk = model_.chunks_[c];
+            const std::size_t span = static_cast<std::size_t>(chunk.node_end - chunk.node_begin);
+            const std::size_t used = std::min(span, run_.stride_ - static_cast<std::size_t>(chunk.node_begin));
+            for (std::size_t k = 0; k < 3; ++k) {
+                T* u = ubar_.data() + k * run_.stride_ + chunk.node_begin;
+                T* v = vbar_.data() + k * run_.stride_ + chunk.node_begin;
+                for (std::size_t i = 0; i < used; ++i) {
+                    u[i] += chunk_bar_[c][k * span + i];
+                    v[i] += chunk_bar_[c][(3 + k) * span + i];
+                }
+            }
+        }
+        reverse_uniforms(time, dt);
+        reverse_observer(n, frame, dt);
+        reverse_actuation(n, frame, dt);
+    }
+
+    void reverse_actuation(int n, int frame, double dt) {
+        if (!run_.actuation_) {
+            return;
+        }
+        ActuationStep& loads = *run_.actuation_;
+        const Actuation& a = model_.geometry_.actuation;
+        const Fields<T>& fields = *run_.inputs_.primal;
+        const TargetBasis basis = run_.target_basis(n, frame, dt);
+        run_.look(loads, run_.u_.data(), run_.stride_, 1);
+        loads.channels_of(&fields.channel, index(frame), basis.value);
+        run_.pose_loads(loads, fields, n);
+        loads.value();
+        for (std::size_t i = 0; i < loads.pushed.size(); ++i) {
+            loads.pushed[i] = static_cast<double>(fbar_[run_.at(0, i % 3, static_cast<std::size_t>(a.pushed_carriers()[i / 3]))]);
+        }
+        loads.reverse();
+        loads.add_channels_bar(index(frame), basis.value, channel_bar_);
+        for (std::size_t i = 0; i < loads.seen.size(); ++i) {
+            ubar_[run_.at(0, i % 3, static_cast<std::size_t>(a.read_carriers()[i / 3]))] += static_cast<T>(loads.seen[i]);
+        }
+        for (std::size_t i = 0; i < loads.poses.size(); ++i) {
+            pose_bar_[run_.pose_at(i / 12, n) + i % 12] += loads.poses[i];
+        }
+    }
+
+    /// Of linear rows the adjoint is the transpose: no value is needed.
+    void reverse_observer(int n, int frame, double dt) {
+        const auto& observer = run_.observer_;
+        if (!pulled_) {
+            return;
+        }
+        observer->ask_bar(index(frame), run_.target_basis(n, frame, dt), asked_bar_, target_bar_, blend_bar_);
+        const std::vector<std::size_t>& read = observer->read_carriers();
+        for (std::size_t k = 0; k < read.size(); ++k) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                const T bar = blend_bar_[ObserverRows<T>::quad * k + c];
+                ubar_[run_.at(0, c, read[k])] += observer->stiffness() * bar;
+                vbar_[run_.at(0, c, read[k])] += observer->damping() * bar;
+            }
+        }
+    }
+
+    void reverse_hold(int n, const Record& r, double dt) {
+        const Constraint& constraint = run_.constraint_[0];
+        const std::size_t rows = constraint.row_count();
+        if (rows == 0) {
+            return;
+        }
+        const Geometry& g = model_.geometry_;
+        const double softness = static_cast<double>(run_.compliance_) / (dt * dt);
+        const std::size_t pose_steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
+        const std::vector<std::int32_t>& nodes = constraint.nodes();
+        constexpr int N = 4;  // the components, in a whole pack
+        std::vector<double> at_nodes(nodes.size() * N), s(rows * N), q(rows * N), reaction(rows * N);
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < nodes.size(); ++k) {
+                const std::size_t node = static_cast<std::size_t>(nodes[k]);
+                at_nodes[N * k + c] = static_cast<double>(run_.inverse_mass_[node] * vbar_[c * run_.stride_ + node]);
+            }
+            for (std::size_t k = 0; k < rows; ++k) {
+                reaction[N * k + c] = r.reactions[c * rows + k];
+            }
+        }
+        constraint.template apply<N>(at_nodes.data(), s.data());
+        reverse_reaction(n, r, s);
+        constraint.template solve<N>(s.data(), softness, q.data());
+        constraint.template transposed<N>(q.data(), at_nodes.data());
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < nodes.size(); ++k) {
+                const std::size_t i = c * run_.stride_ + static_cast<std::size_t>(nodes[k]);
+                vbar_[i] -= static_cast<T>(at_nodes[N * k + c]);
+                ubar_[i] -= static_cast<T>(at_nodes[N * k + c] / dt);
+            }
+        }
+        constraint.template transposed<N>(reaction.data(), at_nodes.data());
+        std::vector<double> sums(static_cast<std::size_t>(g.hold_count)), carried(sums.size()), column(rows);
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < nodes.size(); ++k) {
+                const std::size_t node = static_cast<std::size_t>(nodes[k]);
+                inverse_mass_bar_[node] -= at_nodes[N * k + c] * static_cast<double>(vbar_[c * run_.stride_ + node]);
+            }
+            for (std::size_t k = 0; k < rows; ++k) {
+                column[k] = q[N * k + c];
+                if (g.row_hold[k] < 0) {
+                    continue;
+                }
+                const std::size_t hold = static_cast<std::size_t>(g.row_hold[k]);
+                double* pose = &pose_bar_[(hold * pose_steps + static_cast<std::size_t>(n) + 1) * 12];
+                pose[9 + c] += column[k] / dt;
+                for (std::size_t j = 0; j < 3; ++j) {
+                    pose[3 * c + j] += column[k] / dt * g.row_target[3 * k + j];
+                }
+            }
+            constraint.sum_per_hold(column.data(), sums.data());
+            constraint.sum_per_hold(&r.reactions[c * rows], carried.data());
+            for (std::size_t k = 0; k < sums.size(); ++k) {
+                compliance_bar_ += sums[k] * carried[k] / (dt * dt);
+            }
+        }
+    }
+
+    /// What the reactions' bars make of the impulses of a substep, taken off s, (rows, 4), and of the holds' turns.
+    void reverse_reaction(int n, const Record& r, std::vector<double>& s) {
+        if (bar_.reaction.empty()) {
+            return;
+        }
+        const Geometry& g = model_.geometry_;
+        const std::size_t rows = g.row_count(), holds = static_cast<std::size_t>(g.hold_count), frame = index(step_frame_[index(n)]);
+        const std::size_t pose_steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
+        const std::vector<double> turn = run_.turns(0, n);
+        std::vector<double> impulse_bar(3 * rows, 0.0), turn_bar(9 * holds, 0.0);
+        for (std::size_t side = 0; side < 2; ++side) {
+            const double share = schedule_.reaction_weight[2 * index(n) + side] / step_dt_[index(n)];
+            add_wrench_bars(g, r.reactions.data(), turn.data(), share, &bar_.reaction[(frame + side) * holds * wrench_size],
+                            impulse_bar.data(), turn_bar.data());
+        }
+        for (std::size_t c = 0; c < 3; ++c) {
+            for (std::size_t k = 0; k < rows; ++k) {
+                s[4 * k + c] -= impulse_bar[c * rows + k];
+            }
+        }
+        for (std::size_t h = 0; h < holds; ++h) {
+            for (std::size_t i = 0; i < 9; ++i) {
+                pose_bar_[(h * pose_steps + index(n) + 1) * 12 + i] += turn_bar[9 * h + i];
+            }
+        }
+    }
+
+    Fields<T> collect() {
+        const std::size_t nodes = model_.node_count();
+        Fields<T> out;
+        const auto narrow = [](const std::vector<double>& from) { return std::vector<T>(from.begin(), from.end()); };
+        out.mu = narrow(mu_bar_);
+        out.lambda = narrow(lambda_bar_);
+        out.stress_volume = narrow(volume_bar_);
+        std::vector<double> node_mass_bar(nodes, 0.0);
+        for (std::size_t n = 0; n < nodes; ++n) {
+            const double inverse = static_cast<double>(run_.inverse_mass_[n]);
+            node_mass_bar[n] = -inverse * inverse * inverse_mass_bar_[n];
+        }
+        for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+            const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+            double* to = &mass_bar_[8 * static_cast<std::size_t>(model_.order_[b])];
+            for (int a = 0; a < 27; ++a) {
+                const double bar = node_mass_bar[static_cast<std::size_t>(model_.rows_[b][static_cast<std::size_t>(a / 3)] + a % 3)];
+                for (int q = 0; q < 8; ++q) {
+                    to[q] += bar * static_cast<double>(table.by_node[a][q]);
+                }
+            }
+        }
+        out.mass = narrow(mass_bar_);
+        out.deformation0 = narrow(deformation0_bar_);
+        Registry::each([&](auto tag, int i) {
+            using E = typename decltype(tag)::type;
+            if constexpr (E::info.site == Site::hold) {
+                const EffectSlot& s = this->model_.slots_[static_cast<std::size_t>(i)];
+                if (s.active) {
+                    this->parameter_bar_[static_cast<std::size_t>(s.parameter)] += this->compliance_bar_;
+                }
+            }
+        });
+        out.effect = narrow(parameter_bar_);
+        if (model_.sites_.mass) {
+            for (const auto& place : model_.places_) {
+                double sum = 0;
+                for (std::size_t a = 0; a < 27; ++a) {
+                    sum += static_cast<double>(place.value[a]) * node_mass_bar[static_cast<std::size_t>(place.node[a])];
+                }
+                out.place_mass.push_back(static_cast<T>(sum));
+            }
+        }
+        out.place_effect = narrow(place_effect_bar_);
+        out.gravity = {static_cast<T>(gravity_bar_[0]), static_cast<T>(gravity_bar_[1]), static_cast<T>(gravity_bar_[2])};
+        out.displacement0.resize(3 * nodes);
+        out.velocity0.resize(3 * nodes);
+        for (std::size_t n = 0; n < nodes; ++n) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                out.displacement0[3 * n + c] = ubar_[run_.at(0, c, n)];
+                out.velocity0[3 * n + c] = vbar_[run_.at(0, c, n)];
+            }
+        }
+        out.node_force = node_force_bar_;
+        out.pose = narrow(pose_bar_);
+        out.target = narrow(target_bar_);
+        out.channel = narrow(channel_bar_);
+        return out;
+    }
+
+    using Forces::add_uniform_bar, Forces::compliance_bar_, Forces::chunk_bar_, Forces::chunk_uniform_bar_, Forces::deformation0_bar_;
+    using Forces::channel_bar_, Forces::fbar_, Forces::gravity_bar_, Forces::index, Forces::inverse_mass_bar_, Forces::lambda_bar_, Forces::mass_bar_;
+    using Forces::model_, Forces::mu_bar_, Forces::node_force_bar_, Forces::parameter_bar_, Forces::place_effect_bar_;
+    using Forces::pose_bar_, Forces::reverse_body, Forces::reverse_chunk, Forces::reverse_hook, Forces::reverse_places;
+    using Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;
+
+    const Schedule& schedule_;
+    const Trajectory<T>& bar_;
+    std::vector<double> step_time_, step_dt_;
+    std::vector<int> step_frame_;
+    bool pulled_ = false;                    // in the present substep
+    std::vector<T> asked_bar_, blend_bar_;  // see ObserverRows
+};
+
+}  // namespace mphygs

@@ -1,0 +1,502 @@
+// One run of the total-Lagrangian transfer: the step of the nodes, forward and tangent.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include "mphygs/numerics/team.hpp"
+#include "mphygs/physics/constraint.hpp"
+#include "mphygs/physics/observer_rows.hpp"
+#include "mphygs/physics/reaction.hpp"
+#include "mphygs/total_lagrangian/forces.hpp"
+
+namespace mphygs {
+
+/// T: float or double; K: number of directions (0: values only).
+template <class T, int K>
+class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
+  public:
+    using Forces = TotalLagrangianForces<T, K>;
+    using typename Forces::Model;
+    using typename Forces::S;
+    using typename Forces::U;
+    using Forces::at, Forces::lanes;
+
+    /// team: whose threads share the work of a substep.
+    TotalLagrangianRun(const Model& model, const Inputs<T, K>& inputs, const Schedule& schedule, Team& team)
+        : Forces(model, inputs), schedule_(schedule), team_(&team), sums_(model.geometry_, schedule, lanes) {
+        f_.assign(lanes * size_, T{});
+        prepare_mass();
+        for (std::size_t c = 0; c < 3; ++c) {
+            gravity_[static_cast<int>(c)] = inputs.plain(&Fields<T>::gravity, c);
+        }
+        compliance_ = U{};
+        Registry::each([&](auto tag, int i) {
+            using E = typename decltype(tag)::type;
+            if constexpr (E::info.site == Site::hold) {
+                const EffectSlot& s = model.slots_[static_cast<std::size_t>(i)];
+                if (s.active) {
+                    compliance_ = compliance_ + this->parameters_[static_cast<std::size_t>(s.parameter)];
+                }
+            }
+        });
+        lambda_rows_.assign(static_cast<std::size_t>(lanes) * 3 * model.geometry_.row_count(), 0.0);
+        if (inputs.observer) {
+            observer_.emplace(*inputs.observer, stride_, [&](std::size_t k) {
+                return k < model.node_count() && inverse_mass_[k] != T{} ? inputs.observer->reach_row_of(k) : -1;
+            });
+        }
+        if (!model.geometry_.actuation.empty() && !inputs.primal->channel.empty()) {
+            actuation_.emplace(model.geometry_.actuation);
+        }
+        first_step_ = schedule.first_steps();
+    }
+
+    /// Substep `n` of the whole run, in output interval `frame`. pulled: the observer's pulls are known already.
+    void step(int n, int frame, double time, double dt, bool pulled = false) {
+        refresh_uniforms(time, dt);
+        team_->each(static_cast<int>(model_.chunks_.size()),
+                    [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
+        reduce_forces();
+        place_forces(time);
+        hook_forces(time, dt);
+        known_forces(frame);
+        actuate(index(frame), target_basis(n, frame, dt).value, n);
+        if (!pulled && ask(n, frame, dt)) {
+            spread_pulls(dt);
+        }
+        update_nodes(time, dt);
+        add_pulls();
+        hold(n, frame, dt);
+        const T h = static_cast<T>(dt);
+        for (std::size_t i = 0; i < u_.size(); ++i) {
+            u_[i] += h * v_[i];
+        }
+    }
+
+    /// Leaves M^-1 f (and its derivatives) at the start in the velocity, no hold applied: the
+    /// linearised right-hand side, for the estimate of the largest rates.
+    void accelerations(double dt) {
+        refresh_uniforms(0.0, dt);
+        for (std::size_t c = 0; c < model_.chunks_.size(); ++c) {
+            chunk_forces(c, 0.0, dt);
+        }
+        reduce_forces();
+        place_forces(0.0);
+        hook_forces(0.0, dt);
+        actuate(0, TargetBasis(0, 1, dt).value, -1);
+        std::vector<T> before = v_;
+        update_nodes(0.0, 1.0);
+        for (std::size_t i = 0; i < v_.size(); ++i) {
+            v_[i] -= before[i];
+        }
+    }
+
+    std::vector<T>& displacement() { return u_; }
+    const std::vector<T>& displacement() const { return u_; }
+    std::vector<T>& velocity() { return v_; }
+    const std::vector<T>& force() const { return f_; }
+    std::vector<S>& history() { return history_; }
+    /// What every hold exerts at the output frames, of the values or of a direction: see `Trajectory`.
+    std::vector<double> reaction(int lane) const { return sums_.of(static_cast<std::size_t>(lane)); }
+    const std::vector<T>& mass() const { return mass_; }
+    const std::vector<T>& inverse_mass() const { return inverse_mass_; }
+    const Constraint& constraint() const { return constraint_[0]; }
+    const std::vector<S>& uniforms() const { return uniforms_; }
+
+    bool finite() const {
+        const T limit = static_cast<T>(model_.settings_.displacement_limit);
+        bool good = true;
+        for (std::size_t i = 0; i < size_; ++i) {
+            good &= std::abs(u_[i]) < limit;  // false for anything that is not a number
+        }
+        for (std::size_t i = size_; i < u_.size(); ++i) {
+            good &= std::isfinite(u_[i]);
+        }
+        return good;
+    }
+
+    /// Copies lane l of the node state to (N, 3) arrays.
+    void output(int l, T* displacement, T* velocity) const {
+        for (std::size_t n = 0; n < model_.node_count(); ++n) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                displacement[3 * n + c] = u_[at(l, c, n)];
+                velocity[3 * n + c] = v_[at(l, c, n)];
+            }
+        }
+    }
+
+  private:
+    template <class TT>
+    friend class TotalLagrangianForcesReverse;
+    template <class TT>
+    friend class TotalLagrangianReverse;
+    template <class TT, int L>
+    friend class TotalLagrangianDirections;
+    using Forces::chunk_force_, Forces::chunk_forces, Forces::f0_, Forces::history_, Forces::inputs_, Forces::model_;
+    using Forces::load_point, Forces::parameters_, Forces::prestressed_, Forces::refresh_uniforms, Forces::size_;
+    using Forces::stride_, Forces::u_, Forces::uniforms_, Forces::v_, Forces::volume_;
+
+    void prepare_mass() {
+        std::vector<T> mass(lanes * stride_, T{});
+        for (int l = 0; l < lanes; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            T* m = &mass[static_cast<std::size_t>(l) * stride_];
+            if (fields && !fields->mass.empty()) {
+                for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+                    const Pack<T> point = load<T>(&fields->mass[8 * static_cast<std::size_t>(model_.order_[b])]);
+                    const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+                    for (int a = 0; a < 27; ++a) {
+                        m[model_.rows_[b][static_cast<std::size_t>(a / 3)] + a % 3] += sum_lanes<T>(point * table.by_node[a]);
+                    }
+                }
+            }
+            if (fields && model_.sites_.mass && !fields->place_mass.empty()) {
+                for (std::size_t p = 0; p < model_.places_.size(); ++p) {
+                    for (std::size_t a = 0; a < 27; ++a) {
+                        m[model_.places_[p].node[a]] += fields->place_mass[p] * model_.places_[p].value[a];
+                    }
+                }
+            }
+        }
+        mass_ = mass;
+        inverse_mass_.assign(lanes * stride_, T{});
+        std::vector<double> inverse(stride_, 0.0);
+        for (std::size_t n = 0; n < model_.node_count(); ++n) {
+            if (mass[n] > T{}) {
+                inverse[n] = 1.0 / static_cast<double>(mass[n]);
+                inverse_mass_[n] = static_cast<T>(inverse[n]);
+                for (int l = 1; l < lanes; ++l) {
+                    const std::size_t i = static_cast<std::size_t>(l) * stride_ + n;
+                    inverse_mass_[i] = -inverse_mass_[n] * inverse_mass_[n] * mass[i];
+                }
+            }
+        }
+        constraint_.emplace_back(model_.geometry_, model_.constraint_node_, inverse);
+    }
+    void reduce_forces() {
+        std::fill(f_.begin(), f_.end(), T{});
+        for (std::size_t c = 0; c < model_.chunks_.size(); ++c) {
+            const auto& chunk = model_.chunks_[c];
+            const std::size_t span = static_cast<std::size_t>(chunk.node_end - chunk.node_begin);
+            const std::size_t used = std::min(span, stride_ - static_cast<std::size_t>(chunk.node_begin));
+            for (std::size_t k = 0; k < 3 * static_cast<std::size_t>(lanes); ++k) {
+                const T* from = chunk_force_[c].data() + k * span;
+                T* to = f_.data() + k * stride_ + chunk.node_begin;
+                for (std::size_t i = 0; i < used; ++i) {
+                    to[i] += from[i];
+                }
+            }
+        }
+    }
+
+    MaterialPoint<U> material_point(std::size_t p, double time) const {
+        MaterialPoint<U> m;
+        const auto& place = model_.places_[p];
+        for (int c = 0; c < 3; ++c) {
+            const T rest = static_cast<T>(model_.geometry_.places[3 * p + static_cast<std::size_t>(c)]);
+            m.rest[c] = constant<U>(rest);
+            m.position[c] = constant<U>(rest);
+            for (int l = 0; l < lanes; ++l) {
+                for (std::size_t a = 0; a < 27; ++a) {
+                    const std::size_t i = at(l, static_cast<std::size_t>(c), static_cast<std::size_t>(place.node[a]));
+                    lane_of(m.position[c], l) += place.value[a] * u_[i];
+                    lane_of(m.velocity[c], l) += place.value[a] * v_[i];
+                }
+            }
+        }
+        m.time = static_cast<T>(time);
+        return m;
+    }
+
+    std::vector<U> place_parameters(std::size_t p) const {
+        const std::size_t count = static_cast<std::size_t>(model_.sites_.point_parameters);
+        std::vector<U> q(count);
+        for (std::size_t i = 0; i < count; ++i) {
+            q[i] = inputs_.plain(&Fields<T>::place_effect, p * count + i);
+        }
+        return q;
+    }
+
+    void place_forces(double time) {
+        if (!model_.sites_.point) {
+            return;
+        }
+        for (std::size_t p = 0; p < model_.places_.size(); ++p) {
+            const std::vector<U> q = place_parameters(p);
+            const Vec3<U> force = evaluate_point(model_.slots_, q.data(), material_point(p, time));
+            const auto& place = model_.places_[p];
+            for (int l = 0; l < lanes; ++l) {
+                for (int c = 0; c < 3; ++c) {
+                    for (std::size_t a = 0; a < 27; ++a) {
+                        f_[at(l, static_cast<std::size_t>(c), static_cast<std::size_t>(place.node[a]))] +=
+                            place.value[a] * lane_of(force[c], l);
+                    }
+                }
+            }
+        }
+    }
+
+    /// What the hook is shown: all quadrature points in the caller's order.
+    PointState<T> hook_state(double time, double dt) const;
+
+    void hook_forces(double time, double dt);
+
+    /// Eight points' (3,) vectors or (3, 3) matrices, one after the other in memory.
+    static Vec3<Pack<T>> point_vectors(const T* from) {
+        Vec3<Pack<T>> r;
+        for (int q = 0; q < 8; ++q) {
+            for (int c = 0; c < 3; ++c) {
+                r[c][q] = from[3 * q + c];
+            }
+        }
+        return r;
+    }
+    static Mat3<Pack<T>> point_matrices(const T* from) {
+        Mat3<Pack<T>> r;
+        for (int q = 0; q < 8; ++q) {
+            for (int i = 0; i < 9; ++i) {
+                r[i / 3][i % 3][q] = from[9 * q + i];
+            }
+        }
+        return r;
+    }
+
+    static std::size_t index(int n) { return static_cast<std::size_t>(n); }
+
+    /// Where a substep stands in the targets of its output interval.
+    TargetBasis target_basis(int n, int frame, double dt) const {
+        const std::size_t f = static_cast<std::size_t>(frame);
+        return {n - first_step_[f], schedule_.steps[f], dt};
+    }
+
+    /// What the observer's channels ask for at the start of a substep [m/s^2]; whether there is anything.
+    bool ask(int n, int frame, double dt) {
+        if (!observer_) {
+            return false;
+        }
+        const std::size_t interval = static_cast<std::size_t>(frame);
+        if (frame != aimed_) {
+            aimed_ = frame;
+            pulling_ = observer_->pulls(interval);
+            for (int l = 0; l < lanes; ++l) {
+                const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+                observer_->aim(interval, fields ? fields->target : std::vector<T>{}, aims_[l]);
+            }
+        }
+        const auto factors = observer_->factors(target_basis(n, frame, dt));
+        const std::vector<std::size_t>& read = observer_->read_carriers();
+        const T stiffness = observer_->stiffness(), damping = observer_->damping();
+        constexpr std::size_t quad = ObserverRows<T>::quad;
+        blend_.resize(quad * read.size());
+        for (int l = 0; pulling_ && l < lanes; ++l) {
+            for (std::size_t k = 0; k < read.size(); ++k) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    const std::size_t i = at(l, c, read[k]);
+                    blend_[quad * k + c] = stiffness * u_[i] + damping * v_[i];
+                }
+            }
+            observer_->ask(interval, factors, aims_[l], blend_, asked_[l]);
+        }
+        return pulling_;
+    }
+
+    /// dt G (what the channels ask for), of all lanes, and of columns that others have beside them.
+    void spread_pulls(double dt, std::vector<const T*> asked = {}, std::vector<T*> pulled = {}) {
+        for (int l = 0; l < lanes; ++l) {
+            pulled_[l].resize(3 * stride_);
+            asked.insert(asked.begin() + l, asked_[l].data());
+            pulled.insert(pulled.begin() + l, pulled_[l].data());
+        }
+        observer_->pull(*team_, static_cast<T>(dt), asked, pulled);
+    }
+
+    void add_pulls() {
+        for (int l = 0; observer_ && pulling_ && l < lanes; ++l) {
+            T* to = &v_[at(l, 0, 0)];
+            for (std::size_t i = 0; i < 3 * stride_; ++i) {
+                to[i] += pulled_[l][i];
+            }
+        }
+    }
+
+    /// Adds the forces of tendons, pressures and known loads in an output interval. powers: of the share; step: number of
+    /// the substep, for the holds' poses, -1: holds are at rest.
+    void actuate(std::size_t interval, const double (&powers)[4], int step) {
+        for (int l = 0; actuation_ && l < lanes; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            look(*actuation_, &u_[at(l, 0, 0)], stride_, 1);
+            actuation_->channels_of(&fields->channel, interval, powers);
+            pose_loads(*actuation_, *fields, step);
+            l == 0 ? actuation_->value() : actuation_->change();
+            push(*actuation_, &f_[at(l, 0, 0)], stride_, 1);
+        }
+    }
+    /// Displacements of the nodes that loads read: component c of node n stands at c across + n apart.
+    void look(ActuationStep& loads, const T* u, std::size_t across, std::size_t apart) const {
+        const std::vector<std::int32_t>& read = model_.geometry_.actuation.read_carriers();
+        for (std::size_t i = 0; i < 3 * read.size(); ++i) {
+            loads.seen[i] = static_cast<double>(u[i % 3 * across + static_cast<std::size_t>(read[i / 3]) * apart]);
+        }
+    }
+    void push(const ActuationStep& loads, T* f, std::size_t across, std::size_t apart) const {
+        const std::vector<std::int32_t>& pushed = model_.geometry_.actuation.pushed_carriers();
+        for (std::size_t i = 0; i < 3 * pushed.size(); ++i) {
+            f[i % 3 * across + static_cast<std::size_t>(pushed[i / 3]) * apart] += static_cast<T>(loads.pushed[i]);
+        }
+    }
+    /// First of the twelve numbers of a hold's pose before a substep.
+    std::size_t pose_at(std::size_t hold, int step) const {
+        return (hold * (static_cast<std::size_t>(schedule_.total_steps()) + 1) + static_cast<std::size_t>(step)) * 12;
+    }
+    void pose_loads(ActuationStep& loads, const Fields<T>& fields, int step) const {
+        loads.poses.clear();
+        const std::size_t holds = step < 0 || fields.pose.empty() ? 0 : static_cast<std::size_t>(model_.geometry_.hold_count);
+        for (std::size_t i = 0; i < 12 * holds; ++i) {
+            loads.poses.push_back(static_cast<double>(fields.pose[pose_at(i / 12, step) + i % 12]));
+        }
+    }
+
+    void known_forces(int frame) {
+        const std::size_t nodes = model_.node_count();
+        for (int l = 0; l < lanes; ++l) {
+            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+            if (!fields || fields->node_force.empty()) {
+                continue;
+            }
+            const T* from = fields->node_force.data() + static_cast<std::size_t>(frame) * 3 * nodes;
+            for (std::size_t n = 0; n < nodes; ++n) {
+                for (std::size_t c = 0; c < 3; ++c) {
+                    f_[at(l, c, n)] += from[3 * n + c];
+                }
+            }
+        }
+    }
+
+    /// v* = v + dt (f / m + gravity + body effects), eight nodes at a time.
+    void update_nodes(double time, double dt) {
+        const T h = static_cast<T>(dt);
+        Vec3<S> gravity;
+        for (int c = 0; c < 3; ++c) {
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(gravity[c], l) = broadcast<T>(lane_of(gravity_[c], l));
+            }
+        }
+        for (std::size_t n = 0; n < stride_; n += lane_count) {
+            S inverse_mass{};
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(inverse_mass, l) = load<T>(&inverse_mass_[static_cast<std::size_t>(l) * stride_ + n]);
+            }
+            Vec3<S> acceleration = gravity;
+            if (model_.sites_.body) {
+                acceleration = acceleration + evaluate_body(model_.slots_, uniforms_.data(), body_point(n, time));
+            }
+            for (int c = 0; c < 3; ++c) {
+                S force{};
+                for (int l = 0; l < lanes; ++l) {
+                    lane_of(force, l) = load<T>(&f_[at(l, static_cast<std::size_t>(c), n)]);
+                }
+                const S total = acceleration[c] + force * inverse_mass;
+                for (int l = 0; l < lanes; ++l) {
+                    T* v = &v_[at(l, static_cast<std::size_t>(c), n)];
+                    store<T>(v, load<T>(v) + h * lane_of(total, l));
+                }
+            }
+        }
+        // Nodes without mass (the padding) stay where they are.
+        for (std::size_t n = 0; n < stride_; ++n) {
+            if (inverse_mass_[n] == T{}) {
+                for (int l = 0; l < lanes; ++l) {
+                    for (std::size_t c = 0; c < 3; ++c) {
+                        v_[at(l, c, n)] = T{};
+                    }
+                }
+            }
+        }
+    }
+
+    BodyPoint<S> body_point(std::size_t n, double time) const {
+        BodyPoint<S> p;
+        for (int c = 0; c < 3; ++c) {
+            for (int l = 0; l < lanes; ++l) {
+                lane_of(p.position[c], l) = load<T>(&u_[at(l, static_cast<std::size_t>(c), n)]);
+                lane_of(p.velocity[c], l) = load<T>(&v_[at(l, static_cast<std::size_t>(c), n)]);
+            }
+            for (std::size_t q = 0; q < lane_count && n + q < model_.node_count(); ++q) {
+                lane_of(p.position[c], 0)[static_cast<int>(q)] +=
+                    static_cast<T>(model_.node_positions_[3 * (n + q) + static_cast<std::size_t>(c)]);
+            }
+        }
+        p.time = static_cast<T>(time);
+        return p;
+    }
+
+    /// Pose number i of hold h, as (12,) scalars of lane l.
+    double pose(int l, std::size_t h, int step, std::size_t i) const {
+        const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
+        if (!fields || fields->pose.empty()) {
+            return 0.0;
+        }
+        const std::size_t steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
+        return static_cast<double>(fields->pose[(h * steps + static_cast<std::size_t>(step)) * 12 + i]);
+    }
+
+    void hold(int n, int frame, double dt) {
+        if (constraint_[0].row_count() == 0) {
+            return;
+        }
+        hold_lanes<0, 1>(n, dt);
+        if constexpr (lanes > 1) {
+            hold_lanes<1, lanes - 1>(n, dt);
+        }
+        if (sums_.wanted()) {
+            react(n, frame);
+        }
+    }
+
+    /// Rotations of all holds at the end of a substep, (holds, 9).
+    std::vector<double> turns(int lane, int n) const {
+        std::vector<double> turn;
+        for (std::size_t h = 0; h < static_cast<std::size_t>(model_.geometry_.hold_count); ++h) {
+            for (std::size_t i = 0; i < 9; ++i) {
+                turn.push_back(pose(lane, h, n + 1, i));
+            }
+        }
+        return turn;
+    }
+
+    /// Adds what the holds exert in a substep to the reactions of the frames around it.
+    void react(int n, int frame) {
+        const std::vector<double> turn = turns(0, n);
+        for (int l = 0; l < lanes; ++l) {
+            const std::size_t lane = static_cast<std::size_t>(l);
+            sums_.add(lane, n, frame, &lambda_rows_[lane * 3 * model_.geometry_.row_count()], turn.data());
+            if (l > 0) {
+                sums_.add(lane, n, frame, lambda_rows_.data(), turns(l, n).data(), false);
+            }
+        }
+    }
+
+    /// The hold of some lanes, the values' before those of the derivatives.
+    template <int First, int Count>
+    void hold_lanes(int n, double dt);
+
+    const Schedule& schedule_;
+    Team* team_;
+    std::vector<int> first_step_;             // of every output interval
+    std::optional<ObserverRows<T>> observer_;
+    int aimed_ = -1;                           // output interval whose targets are in aims_
+    bool pulling_ = false;                     // whether any channel pulls in it
+    std::vector<T> aims_[lanes], asked_[lanes], pulled_[lanes], blend_;  // see ObserverRows
+    std::optional<ActuationStep> actuation_;                            // where there are loads, and they act
+    std::vector<T> f_, mass_, inverse_mass_;  // lane, component, node
+    Vec3<U> gravity_;
+    U compliance_{};
+    std::vector<double> lambda_rows_;  // lane, component, row: the impulse of each hold row [N s]
+    std::vector<double> held_, missed_, impulse_, pull_;  // of the hold's work: (nodes or rows, columns)
+    ReactionSums sums_;
+    std::vector<Constraint> constraint_;  // one, built after the masses are known
+};
+
+}  // namespace mphygs
