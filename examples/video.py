@@ -3,8 +3,9 @@
 import tempfile
 from pathlib import Path
 
-import mphygs
 from mphygs.__main__ import main as command
+
+import mphygs
 
 SMALL = ("--size", "80", "--frames", "24", "--cameras", "3", "--rest-views", "12")
 

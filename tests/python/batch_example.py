@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mphygs.batch.order import Order
+
 from mphygs.batch.work import Task
 
 
