@@ -16,7 +16,7 @@ from pathlib import Path
 from mkdocs.structure.files import File, Files
 
 import mphygs
-from mphygs.__main__ import COMMANDS
+from mphygs.commands.command_table import COMMANDS, module_of
 from mphygs.model.descriptor import EffectSpec
 from mphygs.model.registry import effects, faults, material_effects
 
@@ -101,9 +101,8 @@ def source_words(spec: EffectSpec) -> str:
 def commands_page() -> str:
     """All commands with their options, from the dataclasses that they read."""
     lines = ["# Commands", "", "`mphygs NAME --help` says the same.", ""]
-    for name, (module_name, summary) in COMMANDS.items():
-        module = importlib.import_module(module_name)
-        options = getattr(module, f"{name.capitalize()}Options")
+    for name, summary in COMMANDS.items():
+        options = getattr(module_of(name), f"{name.capitalize()}Options")
         told = _told_of(options)
         lines += [f"## {name}", "", f"{summary[:1].upper()}{summary[1:]}.", ""]
         for field in fields(options):

@@ -23,8 +23,8 @@ import tyro
 from table import markdown
 
 from mphygs.baselines.kinds import NAMES
+from mphygs.capture.json_values import plain
 from mphygs.capture.motions import Motion
-from mphygs.command import plain
 from mphygs.synth.make import make_capture
 from mphygs.synth.markers import Noise
 from mphygs.synth.recipe import Recipe, Take, recipe

@@ -19,6 +19,7 @@ import numpy as np
 import tyro
 
 from mphygs.capture.format import load_capture
+from mphygs.commands.synth import main as synth
 from mphygs.diagnose.shaking import swing_ways
 from mphygs.diagnose.ways import smooth_ways
 from mphygs.extend.discover import first_fit
@@ -28,7 +29,6 @@ from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.registry import effect
 from mphygs.simulate.settings import Settings
-from mphygs.synth.__main__ import main as synth
 
 # As many frequencies of a shaking frame as a diagnosis asks for.
 SHAKES = 4

@@ -23,7 +23,8 @@ import numpy as np
 import tyro
 
 from mphygs.capture.format import Capture, load_capture
-from mphygs.command import plain
+from mphygs.capture.json_values import plain
+from mphygs.commands.synth import main as synth
 from mphygs.extend.discover import Discovery, discover, first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
@@ -32,7 +33,6 @@ from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.settings import Settings
-from mphygs.synth.__main__ import main as synth
 
 README = Path(__file__).parents[1] / "README.md"
 MARKS = ("<!-- discretisation begin -->", "<!-- discretisation end -->")

@@ -24,8 +24,9 @@ from table import document, markdown
 
 from mphygs.baselines.kinds import NAMES
 from mphygs.capture.format import load_capture
-from mphygs.command import plain
-from mphygs.image_stages import FOLDER, missing_stages
+from mphygs.capture.json_values import plain
+from mphygs.capture.stages import STAGES
+from mphygs.commands.image_stages import missing_stages
 from mphygs.synth.flower import SPECIES
 
 TEN = tuple(SPECIES)[:10]
@@ -112,7 +113,7 @@ def staged(
     home = options.out / "runs" / species / "stages-of"
     kept = options.out / "results" / f"{species}-stages.json"
     costs = json.loads(kept.read_text()) if kept.is_file() else {}
-    for stage in missing_stages(load_capture(capture), home / FOLDER):
+    for stage in missing_stages(load_capture(capture), home / STAGES):
         if stage.file.exists() or (wanted is not None and stage.name not in wanted):
             continue
         print(f"    {stage.name}", file=sys.stderr, flush=True)
@@ -133,7 +134,7 @@ def segmented(options: Options, species: list[str]) -> int:
             capture = made(options, name)
             home, costs = staged(options, name, capture, ("reconstruct", "segment"))
             seconds = {f"{stage}_seconds": costs[stage]["seconds"] for stage in costs}
-            rows[name] = segments(home / FOLDER, capture) | seconds
+            rows[name] = segments(home / STAGES, capture) | seconds
         except (CommandError, ValueError, OSError) as error:
             failed = 1
             print(f"    {' '.join(str(error).split())}", file=sys.stderr, flush=True)

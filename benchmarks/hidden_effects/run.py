@@ -23,7 +23,7 @@ from judge import record
 from table import right, rows, summary, summary_text
 
 from mphygs.capture.format import load_capture
-from mphygs.command import plain
+from mphygs.capture.json_values import plain
 from mphygs.extend.discover import discover
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.schedule import default_spacing, screening_spacing

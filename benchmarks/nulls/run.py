@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from mphygs.command import plain
+from mphygs.capture.json_values import plain
 from mphygs.model.registry import effects
 from mphygs.synth.make import make_capture
 from mphygs.synth.markers import NOISES, Noise

@@ -20,11 +20,11 @@ import tyro
 
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.markers import Markers
+from mphygs.commands.synth import main as synth
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.schedule import default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.settings import Settings
-from mphygs.synth.__main__ import main as synth
 
 
 @dataclass(frozen=True)

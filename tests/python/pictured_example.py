@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from mphygs.capture.format import load_capture
 from mphygs.capture.meshes import write_mesh
+from mphygs.capture.stages import STAGES
 from mphygs.capture.views import rest_views_of
-from mphygs.image_stages import FOLDER
 from mphygs.render.raw_gaussians import RawGaussians
 from mphygs.render.splatting import splat
 from mphygs.scene.gaussians import Gaussians, colour_of_harmonics, harmonics_of_colour
@@ -36,7 +36,7 @@ def pictured_flower(
 def stages_of_truth(capture: Path, run: Path, *, sigma: float = SIGMA, count: int = 1500) -> Path:
     """Stage files in `run` as perfect stages would leave them, but for white noise of sigma [m] on tracks."""
     truth = load_capture(capture / "truth")
-    stages = run / FOLDER
+    stages = run / STAGES
     parts = truth.parts
     (stages / "object" / "parts").mkdir(parents=True, exist_ok=True)
     for number, part in enumerate(parts):

@@ -18,7 +18,7 @@ from capture_example import Example
 from command_example import SPACING, answer, call, make_capture
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture
-from mphygs.fit import __main__ as fit
+from mphygs.commands import fit
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
 

@@ -15,18 +15,13 @@ from safetensors.numpy import load_file, save
 
 from any_document import SCRIPT, SETTINGS, mutations, one_line
 from command_example import SPACING, answer, call, make_capture
-from mphygs import discover, view
-from mphygs.claim import is_written
-from mphygs.command import plain
-from mphygs.compare import __main__ as compare
-from mphygs.diagnose import __main__ as diagnose
+from mphygs.capture.json_values import plain
+from mphygs.commands import compare, diagnose, discover, extend, fit, report, view
+from mphygs.commands.claim import is_written
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
-from mphygs.extend import __main__ as extend
 from mphygs.extend.kept import Kept, kept_left_out, read_kept, restored_ranking
 from mphygs.extend.told import check_models, read_diagnosis, read_steps
-from mphygs.fit import __main__ as fit
 from mphygs.fit.belief_document import belief_from_document
-from mphygs.report import __main__ as report
 from mphygs.report.contents import Contents
 from mphygs.report.page import page
 

@@ -13,11 +13,11 @@ import torch
 
 import mphygs
 from command_example import ETA, SPACING, TRUTH, answer, call, make_capture
-from mphygs import predict as predict_command
-from mphygs.compare import __main__ as compare_command
-from mphygs.diagnose import __main__ as diagnose_command
-from mphygs.extend import __main__ as extend_command
-from mphygs.fit import __main__ as fit_command
+from mphygs.commands import compare as compare_command
+from mphygs.commands import diagnose as diagnose_command
+from mphygs.commands import extend as extend_command
+from mphygs.commands import fit as fit_command
+from mphygs.commands import predict as predict_command
 from mphygs.model import registry
 
 # Of a run and a second one: where it stands and how long it took.
@@ -57,7 +57,7 @@ def test_importing_it_loads_nothing_and_names_everything() -> None:
 
 
 def test_a_package_is_called_like_the_function_of_its_name() -> None:
-    assert mphygs.fit.__main__ is fit_command
+    assert mphygs.fit.start.__name__ == "mphygs.fit.start"
     assert list(inspect.signature(mphygs.fit).parameters)[:2] == ["capture", "out"]
     assert "progress" in inspect.signature(mphygs.discover).parameters
 

@@ -14,7 +14,6 @@ from safetensors.numpy import load_file
 
 from bar_capture import bar_capture
 from command_example import SIGMA, SPACING, answer, call, make_capture
-from mphygs import predict, view
 from mphygs.baselines import field, graph, neural, springs, training
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import edges_of
@@ -22,14 +21,10 @@ from mphygs.baselines.residual_network import NAMES, SHAPES, starting_weights
 from mphygs.baselines.spring_system import Course, SpringRun, Springs
 from mphygs.capture.actuators import Force
 from mphygs.capture.format import load_capture, save_capture
-from mphygs.compare import __main__ as compare
-from mphygs.diagnose import __main__ as diagnose
-from mphygs.extend import __main__ as extend
-from mphygs.fit import __main__ as fit
+from mphygs.commands import compare, diagnose, extend, fit, predict, report, view
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import TRAINED, load_run
 from mphygs.fit.start import starting_belief
-from mphygs.report import __main__ as report
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings
 from pictured_example import pictured_flower, stages_of_truth

@@ -13,13 +13,13 @@ import pytest
 from safetensors.numpy import load_file
 
 from command_example import SPACING, answer, call, make_capture
-from mphygs import in_use
-from mphygs.__main__ import main as mphygs
-from mphygs.batch import __main__ as command
 from mphygs.batch.work import Outcome, Task
-from mphygs.fit import __main__ as fit
+from mphygs.capture.folder_mark import is_marked
+from mphygs.commands import batch as command
+from mphygs.commands import fit
+from mphygs.commands.command_table import main as mphygs
+from mphygs.commands.in_use import held, hold
 from mphygs.fit.run import load_run
-from mphygs.in_use import held, hold
 from mphygs.model import registry
 
 OPTIONS = ("--spacing", SPACING)
@@ -158,7 +158,7 @@ def test_every_folder_has_its_run_and_its_row(here: Here, captures: list[Path], 
     value = alone["parameters"]["bar.youngs_modulus"]["value"]
     assert float(table[0]["bar.youngs_modulus [Pa]"]) == value
     assert [row["state"] for row in table] == ["done", "done", "failed"]
-    assert (out / "summary.html").read_text().startswith("<!doctype html>") and in_use.is_marked(out)
+    assert (out / "summary.html").read_text().startswith("<!doctype html>") and is_marked(out)
     assert "[100 %" in err and "3 of 3 done, 1 failed; empty: " in err
     # again: older results are replaced; what is not a batch's stays
     (out / "mine.txt").write_text("precious")

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from batch_example import order, task
-from mphygs.__main__ import COMMANDS
 from mphygs.batch.dispatch import MOST_LOST, dispatch
-from mphygs.batch.order import Order, options_of, tasks_of
+from mphygs.batch.order import Order
 from mphygs.batch.work import Outcome, Task
+from mphygs.commands.batch_order import options_of, tasks_of
 
 
 def runs(asked: Order) -> dict[str, tuple[str, ...]]:
-    tasks = tasks_of(asked, options_of(asked.command, COMMANDS), Path("/out"))
+    tasks = tasks_of(asked, options_of(asked.command), Path("/out"))
     return {t.name: t.words for t in tasks}
 
 

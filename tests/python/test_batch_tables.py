@@ -11,9 +11,9 @@ from batch_example import task
 from mphygs.batch.dispatch import Running
 from mphygs.batch.page import page
 from mphygs.batch.summary import Row, csv_text, row_of
-from mphygs.batch.view import View
 from mphygs.batch.work import Outcome
-from mphygs.console import Console
+from mphygs.commands.batch_view import View
+from mphygs.commands.console import Console
 from page_driver import opened
 
 

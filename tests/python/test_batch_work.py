@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import pytest
 
 from batch_example import task
-from mphygs import in_use
 from mphygs.batch import cluster, work
-from mphygs.in_use import held, hold
+from mphygs.capture.folder_mark import is_held
+from mphygs.commands.in_use import held, hold
 
 PRINTS = """
 import os, sys, time
@@ -124,7 +124,7 @@ def test_a_folder_that_is_still_written_to_is_waited_for(scripted: Path) -> None
         assert work.work(task("a", scripted), 1, patience=1.0).done
         assert time.monotonic() - began > 1.0
     began = time.monotonic()
-    assert not in_use.is_held(scripted / "a") and not in_use.is_held(scripted / "none")
+    assert not is_held(scripted / "a") and not is_held(scripted / "none")
 
 
 def test_a_worker_that_cannot_run_it_fails_that_run_alone() -> None:

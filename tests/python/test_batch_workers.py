@@ -19,7 +19,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from command_example import answer, make_capture
-from mphygs.fit import __main__ as fit
+from mphygs.commands import fit
 
 WITHOUT = importlib.util.find_spec("distributed") is None
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(WITHOUT, reason="dask.distributed is not installed")]

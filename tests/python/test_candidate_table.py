@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from extend_example import assessment_of, entry_of, plain_belief, step_of
-from mphygs.command import plain
+from mphygs.capture.json_values import plain
 from mphygs.diagnose.ranking import Ranking, lost
 from mphygs.extend.candidate_table import candidate_rows, path_rows, path_text, table_text
 

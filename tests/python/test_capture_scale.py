@@ -11,14 +11,14 @@ import pytest
 
 from command_example import answer, call
 from gaussian_example import gaussians
-from mphygs import doctor, init, reconstruct
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture, save_capture
 from mphygs.capture.layouts import read_points
+from mphygs.capture.stages import views_digest
 from mphygs.capture.views import rest_views_of, sequence_views_of
+from mphygs.commands import doctor, init, reconstruct
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.ply import read_gaussians, write_gaussians
-from mphygs.stages import views_digest
 from views_example import COUNT, SIZE, Rest, camera
 
 PINHOLE = f"PINHOLE {SIZE} {SIZE} 60 60 {SIZE / 2} {SIZE / 2}"

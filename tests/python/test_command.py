@@ -8,7 +8,9 @@ import pytest
 import scipy.linalg  # noqa: F401  # its own linear algebra is limited as well
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from mphygs.command import DONE, FAILED, Answer, CommonOptions, Console, run
+from mphygs.commands.command import DONE, FAILED, Answer, run
+from mphygs.commands.console import Console
+from mphygs.commands.options import CommonOptions
 
 
 @dataclass(frozen=True, kw_only=True)

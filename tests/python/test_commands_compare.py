@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from command_example import FRAMES, SIGMA, SPACING, answer, call, make_capture
-from mphygs import __main__ as all_commands
-from mphygs import predict
 from mphygs.capture.format import load_capture, save_capture
-from mphygs.compare import __main__ as command
+from mphygs.commands import command_table as all_commands
+from mphygs.commands import compare as command
+from mphygs.commands import fit, predict
 from mphygs.compare.metrics import point_error
 from mphygs.compare.pictures import moving_most, spectrum
-from mphygs.fit import __main__ as fit
 
 
 @pytest.fixture(scope="module")

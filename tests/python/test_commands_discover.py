@@ -8,14 +8,10 @@ from types import SimpleNamespace
 import pytest
 
 from command_example import ETA, SPACING, answer, call, make_capture
-from mphygs import command as frame
-from mphygs import discover, predict
-from mphygs.compare import __main__ as compare
-from mphygs.diagnose import __main__ as diagnose
+from mphygs.commands import command as frame
+from mphygs.commands import compare, diagnose, discover, extend, fit, predict
 from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_force, with_plugin_in
-from mphygs.extend import __main__ as extend
 from mphygs.extend import kept as kept_steps
-from mphygs.fit import __main__ as fit
 from mphygs.fit.run import load_run
 
 CANDIDATES = "viscosity,gravity"

@@ -13,9 +13,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from command_example import ETA, SIGMA, SPACING, TRUTH, answer, call, make_capture
-from mphygs import predict
 from mphygs.capture.format import Known
-from mphygs.fit import __main__ as command
+from mphygs.commands import fit as command
+from mphygs.commands import predict
 from mphygs.fit import checkpointed
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.of_run import experiment_of

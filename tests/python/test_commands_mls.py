@@ -7,12 +7,12 @@ import json
 import pytest
 
 from command_example import SPACING, TRUTH, answer, call, make_capture
-from mphygs.compare.__main__ import main as compare
-from mphygs.diagnose.__main__ import main as diagnose
-from mphygs.discover import main as discover
-from mphygs.extend.__main__ import main as extend
-from mphygs.fit.__main__ import main as fit
-from mphygs.predict import main as predict
+from mphygs.commands.compare import main as compare
+from mphygs.commands.diagnose import main as diagnose
+from mphygs.commands.discover import main as discover
+from mphygs.commands.extend import main as extend
+from mphygs.commands.fit import main as fit
+from mphygs.commands.predict import main as predict
 
 COARSE = 2 * SPACING
 

@@ -11,9 +11,10 @@ import pytest
 
 import rod_video
 from command_example import answer, call
-from mphygs import contact, motion_stages, register, track
 from mphygs.capture.rotation import matrix_from_quaternion, matrix_from_rotation_vector
 from mphygs.capture.transforms import read_transforms
+from mphygs.commands import contact, register, track
+from mphygs.motion import video_stages
 
 MOTION = rod_video.RodMotion(start=((0.05, -0.1, 0.15), (0.004, -0.006, 0.005)))
 PIXEL = 0.16 / rod_video.SIZE
@@ -23,7 +24,7 @@ PIXEL = 0.16 / rod_video.SIZE
 def _few_frames_without_cameras() -> Iterator[None]:
     """Cameras are left out in two frames rather than in six: that takes most of the time here."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(motion_stages, "JACKKNIFED", 2)
+        patch.setattr(video_stages, "JACKKNIFED", 2)
         yield
 
 
@@ -69,7 +70,7 @@ def test_register(capture: Path, gaussians: Path, run: Path, tmp_path: Path) -> 
     corners, _ = hand_points()
     away = corners @ turn.T + position - (corners @ rotation.T + shift)
     assert np.linalg.norm(away, axis=1).max() < 0.5 * PIXEL
-    rest = motion_stages.read_gaussians(gaussians).positions.numpy()
+    rest = video_stages.read_gaussians(gaussians).positions.numpy()
     error = np.linalg.norm(refined - MOTION(rest, 0), axis=1)
     assert np.sqrt((error**2).mean()) < 0.25 * PIXEL
     assert np.linalg.norm(rest - MOTION(rest, 0), axis=1).mean() > 4 * PIXEL
@@ -113,17 +114,17 @@ def test_a_run_that_is_interrupted_goes_on_with_the_same_numbers(
     """Stopped after five frames, then while cameras are left out."""
     shutil.copytree(run / "stages" / "register", tmp_path / "stages" / "register")
     command = (capture, *options(gaussians, tmp_path, "--tracks", 120))
-    read = motion_stages.VideoRun.read
+    read = video_stages.VideoRun.read
 
     def stopping(at: int) -> Callable[..., list]:
-        def stops(self: motion_stages.VideoRun, views: object, frame: int) -> list:
+        def stops(self: video_stages.VideoRun, views: object, frame: int) -> list:
             if frame == at:
                 raise KeyboardInterrupt
             return read(self, views, frame)
 
         return stops
 
-    monkeypatch.setattr(motion_stages.VideoRun, "read", stopping(6))
+    monkeypatch.setattr(video_stages.VideoRun, "read", stopping(6))
     code, out, err = call(track.main, *command)
     last = err.strip().splitlines()[-1]
     assert code == 130 and not out
@@ -134,11 +135,11 @@ def test_a_run_that_is_interrupted_goes_on_with_the_same_numbers(
     assert (folder / "partial.npz").is_file() and not (folder / "tracks.npz").exists()
     seen: list[int] = []
 
-    def watched(self: motion_stages.VideoRun, views: object, frame: int) -> list:
+    def watched(self: video_stages.VideoRun, views: object, frame: int) -> list:
         seen.append(frame)
         return read(self, views, frame)
 
-    monkeypatch.setattr(motion_stages.VideoRun, "read", watched)
+    monkeypatch.setattr(video_stages.VideoRun, "read", watched)
     answer(track.main, *command)
     assert 5 in seen and seen[:2] == [0, 5], "frames 1 to 4 are not followed again"
     with np.load(folder / "tracks.npz") as again, np.load(run / "stages/track/carried/tracks.npz") as whole:

@@ -11,14 +11,12 @@ import pytest
 import torch
 
 from command_example import answer, call
-from mphygs import predict
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.features import ColourFeatures
 from mphygs.capture.format import load_capture
 from mphygs.capture.mask_groups import Superpixels
 from mphygs.capture.views import rest_views_of
-from mphygs.compare import __main__ as compare
-from mphygs.fit import __main__ as fit
+from mphygs.commands import compare, fit, predict, report
 from mphygs.fit import image_fit, paper
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
@@ -28,7 +26,6 @@ from mphygs.fit.pictured_run import with_shares
 from mphygs.fit.run import load_run
 from mphygs.render.gaussian_features import gaussian_features
 from mphygs.render.video_loss import VideoWeights, video_loss
-from mphygs.report import __main__ as report
 from mphygs.scene.object_files import write_features
 from mphygs.scene.ply import read_gaussians
 from mphygs.simulate.errors import SimulationError

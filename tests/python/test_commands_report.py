@@ -9,17 +9,16 @@ import pytest
 from playwright.sync_api import Page
 
 from command_example import FRAMES, SPACING, answer, call, make_capture
-from mphygs.command import plain
+from mphygs.capture.json_values import plain
+from mphygs.commands import extend, fit
+from mphygs.commands import report as command
 from mphygs.diagnose.force_features import Feature
 from mphygs.diagnose.force_formula import Formula, Term
 from mphygs.diagnose.force_readings import ForceSample
 from mphygs.diagnose.force_regression import Explained
 from mphygs.diagnose.missing_force import MissingForce
 from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_force
-from mphygs.extend import __main__ as extend
-from mphygs.fit import __main__ as fit
 from mphygs.fit.run import load_run
-from mphygs.report import __main__ as command
 from mphygs.report.html import script_data, table
 from page_driver import opened
 

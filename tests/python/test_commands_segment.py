@@ -12,10 +12,10 @@ import trimesh
 
 from command_example import answer, call
 from mesh_picture import cameras_around, draw_mesh, dumbbell, write_rest_views
-from mphygs import reconstruct, segment
 from mphygs.capture.cameras import Camera
 from mphygs.capture.images import write_image
 from mphygs.capture.transforms import write_transforms
+from mphygs.commands import reconstruct, segment
 from mphygs.scene.object_files import read_particles, read_parts
 from mphygs.scene.ply import read_gaussians, write_gaussians
 from mphygs.scene.quadrature import fill

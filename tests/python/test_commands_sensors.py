@@ -13,13 +13,9 @@ from safetensors.numpy import load_file
 import mphygs
 from command_example import answer, call
 from mphygs.capture.format import load_capture
-from mphygs.compare import __main__ as compare
+from mphygs.commands import compare, diagnose, fit, report, synth
 from mphygs.compare.sensed import sensor_lines
-from mphygs.diagnose import __main__ as diagnose
-from mphygs.fit import __main__ as fit
 from mphygs.fit import checkpointed
-from mphygs.report import __main__ as report
-from mphygs.synth import __main__ as synth
 
 SENSORS = "force,torque,acceleration"
 SMALL = ("--known", "none", "--frames", 28, "--markers", 24, "--spacing-share", 1.0, "--seed", 3)

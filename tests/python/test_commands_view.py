@@ -16,9 +16,7 @@ import numpy as np
 import pytest
 
 from command_example import SIGMA, SPACING, answer, call, make_capture
-from mphygs import view
-from mphygs.extend import __main__ as extend
-from mphygs.fit import __main__ as fit
+from mphygs.commands import extend, fit, view
 from mphygs.fit.run import load_run
 from mphygs.report.live import moved_belief, reach_of
 from page_driver import opened

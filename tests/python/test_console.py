@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from mphygs.console import Console
+from mphygs.commands.console import Console
 
 
 def test_elsewhere_every_line_of_progress_stands_by_itself() -> None:

@@ -12,8 +12,7 @@ from command_example import answer
 from extend_example import SIGMA, recorded
 from mphygs.capture.record import Known
 from mphygs.capture.save import save_capture
-from mphygs.diagnose import __main__ as diagnose
-from mphygs.fit import __main__ as fit
+from mphygs.commands import diagnose, fit
 
 FRAMES = 30
 

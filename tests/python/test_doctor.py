@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from command_example import ETA, FRAMES, SPACING, TRUTH, answer, bar_part, call, make_capture
-from mphygs import doctor
 from mphygs.capture.format import Known, Sensor, load_capture, save_capture
-from mphygs.fit import __main__ as fit_command
+from mphygs.commands import doctor
+from mphygs.commands import fit as fit_command
 from mphygs.fit.examination import leading_frequency, longest_gap
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.identifiable import Identifiable

@@ -12,9 +12,10 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from command_example import answer
 from extend_example import SIGMA, recorded
+from mphygs.capture.json_values import plain
 from mphygs.capture.record import Known
 from mphygs.capture.save import save_capture
-from mphygs.command import plain
+from mphygs.commands import fit
 from mphygs.extend.candidate_table import with_told
 from mphygs.extend.finer import finer
 from mphygs.extend.grids import with_budget
@@ -29,7 +30,6 @@ from mphygs.extend.steps import (
     steps_text,
     uncertainty,
 )
-from mphygs.fit import __main__ as fit
 from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.boundary_share import boundary_columns
 from mphygs.fit.experiment import Experiment

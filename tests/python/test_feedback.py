@@ -10,7 +10,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, recorded
-from mphygs.command import _with_values
+from mphygs.commands.options import _with_values
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief

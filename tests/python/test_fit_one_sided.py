@@ -14,7 +14,7 @@ from command_example import answer
 from extend_example import SIGMA, recorded
 from mphygs.capture.record import Known
 from mphygs.capture.save import save_capture
-from mphygs.fit import __main__ as fit
+from mphygs.commands import fit
 from mphygs.fit.determined import SAYS_NOTHING
 from mphygs.fit.limits import Limits, narrowed_to_seen, with_bounds
 from mphygs.fit.one_sided import derivatives_hold, limits_of

@@ -10,13 +10,12 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from command_example import answer
-from mphygs.fit import __main__ as fit
+from mphygs.commands import fit, synth
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.other_minima import lower_along
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.synth import __main__ as synth
 
 OF = {"youngs_modulus": "E", "density": "rho"}
 

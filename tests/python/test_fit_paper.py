@@ -12,9 +12,9 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from command_example import SPACING, TRUTH, answer, call, make_capture
 from mphygs.capture.format import Capture
+from mphygs.commands.fit import main as fit
 from mphygs.compare.noise import observe
 from mphygs.fit import paper
-from mphygs.fit.__main__ import main as fit
 from mphygs.fit.paper_plan import PaperStage, check_windows, paper_plan, remembers, window_frames
 from mphygs.fit.problem import Problem
 from mphygs.fit.window_start import start_at

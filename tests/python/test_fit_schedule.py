@@ -12,8 +12,8 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs import discover as discover_command
-from mphygs.command import Console
+from mphygs.commands import discover as discover_command
+from mphygs.commands.console import Console
 from mphygs.fit import checkpointed, levenberg_marquardt, schedule
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment

@@ -13,7 +13,7 @@ from command_example import answer
 from extend_example import SIGMA, recorded
 from mphygs.capture.record import Known
 from mphygs.capture.save import save_capture
-from mphygs.fit import __main__ as fit
+from mphygs.commands import fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance, minimise
 from mphygs.fit.of_run import experiment_of

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from mphygs.capture.format import Markers
-from mphygs.command import Console
+from mphygs.capture.stages import STAGES
+from mphygs.commands.console import Console
+from mphygs.commands.image_stages import StageError, has_stages, kept_seconds, missing_stages, run_stages
 from mphygs.fit.stage_files import StageFolder
-from mphygs.image_stages import FOLDER, StageError, has_stages, kept_seconds, missing_stages, run_stages
 from test_image_capture import recorded
 
 
@@ -61,7 +62,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     def command(name: str) -> SimpleNamespace:
         def main(arguments: list[str]) -> int:
             called.append([name, *arguments])
-            files = StageFolder(Path(arguments[2]) / FOLDER)
+            files = StageFolder(Path(arguments[2]) / STAGES)
             path = {
                 "reconstruct": files.gaussians, "segment": files.particles,
                 "register": files.pose("lift"), "track": files.tracks("lift"),
@@ -75,7 +76,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         return SimpleNamespace(main=main)
 
     for name in ("reconstruct", "segment", "register", "track"):
-        monkeypatch.setitem(sys.modules, f"mphygs.{name}", command(name))
+        monkeypatch.setitem(sys.modules, f"mphygs.commands.{name}", command(name))
     return called
 
 
@@ -89,20 +90,20 @@ def test_what_is_missing_is_run_once_and_timed(commands: list, tmp_path: Path) -
         ["track", *out, "--sequences", "lift"],
     ]
     assert list(seconds) == ["reconstruct", "segment", "register lift", "track lift"]
-    assert run_stages(recorded(), Path("flower"), tmp_path, console()) == kept_seconds(tmp_path / FOLDER)
+    assert run_stages(recorded(), Path("flower"), tmp_path, console()) == kept_seconds(tmp_path / STAGES)
     assert len(commands) == 4
-    StageFolder(tmp_path / FOLDER).tracks("lift").unlink()
+    StageFolder(tmp_path / STAGES).tracks("lift").unlink()
     run_stages(recorded(), Path("flower"), tmp_path, console())
     assert [call[0] for call in commands[4:]] == ["track"]
 
 
 def test_a_stage_that_fails_is_named_and_those_before_it_are_kept(commands: list, tmp_path: Path) -> None:
     run_stages(recorded(), Path("flower"), tmp_path, console())
-    StageFolder(tmp_path / FOLDER).tracks("lift").unlink()
+    StageFolder(tmp_path / STAGES).tracks("lift").unlink()
     commands.insert(0, ["fails"])
     with pytest.raises(StageError, match=r"tracks\.npz: was not made by mphygs track"):
         run_stages(recorded(), Path("flower"), tmp_path, console())
-    assert StageFolder(tmp_path / FOLDER).particles.is_file()
+    assert StageFolder(tmp_path / STAGES).particles.is_file()
 
 
 def test_a_stage_that_was_stopped_stops_the_command(commands: list, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mphygs.command import plain
+from mphygs.capture.json_values import plain
 from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import sequence_errors
 from mphygs.compare.noise import noise_document, noise_lines, observe

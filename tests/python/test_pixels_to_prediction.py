@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from command_example import answer
-from mphygs import discover, reconstruct, segment
 from mphygs.capture.format import load_capture
-from mphygs.fit import __main__ as fit
-from mphygs.image_stages import FOLDER, missing_stages
+from mphygs.capture.stages import STAGES
+from mphygs.commands import discover, fit, reconstruct, segment
+from mphygs.commands.image_stages import missing_stages
 from pictured_example import SHOOT, pictured_flower
 
 track = pytest.importorskip("mphygs.track", reason="the stages that follow motions are not here")
@@ -25,7 +25,7 @@ def stages_of_pixels(capture: Path, run: Path) -> Path:
     answer(reconstruct.main, capture, "--out", run, "--iterations", 500, "--most-gaussians", 3000)
     answer(segment.main, capture, "--out", run, "--features", "colour", "--particles", 6000)
     answer(track.main, capture, "--out", run, *SMALLER)
-    assert missing_stages(load_capture(capture), run / FOLDER) == []
+    assert missing_stages(load_capture(capture), run / STAGES) == []
     return run
 
 

@@ -12,19 +12,16 @@ import numpy as np
 import pytest
 
 from command_example import SPACING, answer, call, make_capture
-from mphygs import command as frame
-from mphygs import in_use, predict
+from mphygs.capture.folder_mark import MARK, is_marked
 from mphygs.capture.format import load_capture
 from mphygs.capture.written import replace_arrays, replace_file
-from mphygs.claim import claim, claim_capture, claim_file, claim_output, clear, is_written
-from mphygs.command import OptionError
-from mphygs.compare import __main__ as compare
-from mphygs.fit import __main__ as fit
+from mphygs.commands import command as frame
+from mphygs.commands import compare, fit, in_use, predict, report, synth
+from mphygs.commands.claim import claim, claim_capture, claim_file, claim_output, clear, is_written
+from mphygs.commands.in_use import HeldError, held, hold
+from mphygs.commands.options import CommonOptions, OptionError
 from mphygs.fit.run import folder_name, load_run
-from mphygs.in_use import MARK, HeldError, held, hold, is_marked
 from mphygs.model import registry
-from mphygs.report import __main__ as report
-from mphygs.synth import __main__ as synth
 
 EFFECT = '''
 from pathlib import Path
@@ -402,7 +399,7 @@ def test_what_the_system_says_of_a_place_is_one_line(number: int, code: int, tmp
     def action(*_: object) -> None:
         raise OSError(number, os.strerror(number), str(tmp_path / "place"))
 
-    found, _, err = call(lambda argv: frame.run(frame.CommonOptions, action, program="x", argv=argv))
+    found, _, err = call(lambda argv: frame.run(CommonOptions, action, program="x", argv=argv))
     assert found == code
     assert (
         one_line(err)

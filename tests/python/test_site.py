@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import mphygs
-from mphygs.__main__ import COMMANDS
+from mphygs.commands.command_table import COMMANDS
 from mphygs.model.registry import effects
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from mphygs.command import OptionError
-from mphygs.stages import Stage, folder_digest
+from mphygs.capture.stages import Stage, folder_digest
+from mphygs.commands.options import OptionError
 
 FILES = ("a.txt", "parts/*.ply")
 

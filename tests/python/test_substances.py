@@ -7,7 +7,7 @@ import pytest
 
 from command_example import SPACING, answer, call, make_capture
 from mphygs.capture.format import Known, load_capture
-from mphygs.fit import __main__ as command
+from mphygs.commands import fit as command
 from mphygs.fit.start import DEFAULT_DENSITY, YOUNGS_MODULUS_MEDIAN, starting_belief
 from mphygs.model.substances import SUBSTANCES, like, substance
 

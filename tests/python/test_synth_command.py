@@ -5,7 +5,7 @@ import json
 import pytest
 
 from mphygs.capture.format import load_capture
-from mphygs.synth.__main__ import main
+from mphygs.commands.synth import main
 
 SMALL = ["--frames", "12", "--markers", "20", "--spacing-share", "1.5"]
 

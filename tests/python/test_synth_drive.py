@@ -11,8 +11,8 @@ import pytest
 from command_example import answer, call
 from mphygs.capture.actuators import Pressure, Tendon
 from mphygs.capture.format import load_capture
-from mphygs.fit.__main__ import main as fit
-from mphygs.synth.__main__ import main as synth
+from mphygs.commands.fit import main as fit
+from mphygs.commands.synth import main as synth
 from mphygs.synth.drive import Drive
 
 QUICK = ["--frames", "24", "--markers", "16", "--spacing-share", "1.6", "--sigma", "1e-4"]

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from mphygs.capture.format import load_capture
-from mphygs.synth.__main__ import main
+from mphygs.commands.synth import main
 
 SMALL = ["--size", "32", "--rest-views", "4", "--cameras", "2", "--frames", "8", "--tracks", "20"]
 COARSE = ["--spacing-share", "1.9"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mphygs.__main__ import main
+from mphygs.commands.command_table import main
 
 TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial.md"
 

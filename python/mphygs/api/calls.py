@@ -13,8 +13,11 @@ from typing import Any, Literal, Protocol, TypeVar, get_args, get_origin, get_ty
 
 from mphygs.api.errors import InputError, as_told
 from mphygs.capture.format import Capture, load_capture, save_capture
-from mphygs.claim import claim, claim_capture
-from mphygs.command import CommonOptions, Console, plain, working
+from mphygs.capture.json_values import plain
+from mphygs.commands.claim import claim, claim_capture
+from mphygs.commands.command import working
+from mphygs.commands.console import Console
+from mphygs.commands.options import CommonOptions
 from mphygs.fit.run import digest_of
 
 # Told the share of the work that is done, 0 to 1, and a line.

@@ -11,7 +11,7 @@ from mphygs.api.calls import CaptureLike, Home, Progress, RunLike, call, comma, 
 from mphygs.api.errors import InputError
 from mphygs.api.results import Error, Row, Table, error_rows, errors_of, sensor_rows
 from mphygs.capture.format import Capture
-from mphygs.compare.__main__ import CompareOptions, held_against, picture_of
+from mphygs.commands.compare import CompareOptions, held_against, picture_of
 from mphygs.compare.assess import Compared, in_words
 from mphygs.compare.sensor_pictures import sensor_figure
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from mphygs.api.calls import Home, Progress, RunLike, call, comma, folder_of, home_of, json_of
 from mphygs.api.results import Row, Table
-from mphygs.diagnose.__main__ import DiagnoseOptions
-from mphygs.diagnose.__main__ import diagnose as diagnose_run
+from mphygs.commands.diagnose import DiagnoseOptions
+from mphygs.commands.diagnose import diagnose as diagnose_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

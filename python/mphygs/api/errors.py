@@ -27,7 +27,7 @@ class MissingPackageError(MphygsError, ImportError):
 def as_told() -> Iterator[None]:
     """Errors from within become those of this interface."""
     # the frame of the commands takes a moment to import
-    from mphygs.command import AT_FAULT, told
+    from mphygs.commands.command import AT_FAULT, told
 
     try:
         yield

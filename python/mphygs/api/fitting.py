@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from mphygs.api.calls import CaptureLike, Home, Progress, call, comma, json_of, place, placed_capture
 from mphygs.api.results import Error, Estimate, Row, Table, errors_figure, errors_of, estimates_of
 from mphygs.baselines.kinds import Baseline
-from mphygs.command import Console
-from mphygs.fit.__main__ import fitted
+from mphygs.commands.console import Console
+from mphygs.commands.fit import fitted
+from mphygs.commands.fit_options import FitOptions
 from mphygs.fit.run import Run
-from mphygs.fit_options import FitOptions
 from mphygs.model.registry import USUAL_LAW
 
 if TYPE_CHECKING:

@@ -21,10 +21,11 @@ from mphygs.api.calls import (
     placed_capture,
 )
 from mphygs.api.results import Estimate, Row, Table, error_rows, errors_figure, errors_of, estimates_of
-from mphygs.command import Answer, Console
-from mphygs.discover import FIRST, DiscoverOptions, loop
-from mphygs.extend.__main__ import ExtendOptions
-from mphygs.extend.__main__ import extend as extend_run
+from mphygs.commands.command import Answer
+from mphygs.commands.console import Console
+from mphygs.commands.discover import FIRST, DiscoverOptions, loop
+from mphygs.commands.extend import ExtendOptions
+from mphygs.commands.extend import extend as extend_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mphygs.batch.dispatch import Handle
-from mphygs.batch.work import Outcome, Task, work
+from mphygs.batch.work import FAILED, Outcome, Task, work
 from mphygs.capture.errors import one_line
-from mphygs.command import FAILED, OptionError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -22,19 +20,13 @@ ANSWER = 10.0
 
 
 def needed() -> None:
-    """Raises OptionError where dask.distributed is not installed."""
+    """Raises ValueError where dask.distributed is not installed."""
     try:
         import distributed  # noqa: F401
     except ImportError as error:
-        raise OptionError(
+        raise ValueError(
             f"batch needs dask.distributed ({error}); expected it installed: pip install 'mphygs[cluster]'"
         ) from error
-
-
-def check_address(address: str) -> None:
-    """Raises OptionError for what is no address of a scheduler."""
-    if not re.fullmatch(r"([a-z]+://)?[^\s/]+:[0-9]+", address):
-        raise OptionError(f"--scheduler: got '{address}'; expected tcp://HOST:PORT of a scheduler")
 
 
 @dataclass(frozen=True)
@@ -122,16 +114,16 @@ def local(workers: int, threads: int) -> Iterator[Workers]:
 
 
 @contextlib.contextmanager
-def existing(address: str) -> Iterator[Workers]:
-    """The workers of a scheduler. Raises OptionError where none answers."""
+def existing(address: str, where: str) -> Iterator[Workers]:
+    """The workers of a scheduler. where: that gave its address. Raises ValueError where none answers."""
     from distributed import Client
 
     with _quiet():
         try:
             client = Client(address, timeout=ANSWER, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            raise OptionError(
-                f"--scheduler: no scheduler answers at {address}; expected tcp://HOST:PORT of one"
+            raise ValueError(
+                f"{where}: no scheduler answers at {address}; expected tcp://HOST:PORT of one"
             ) from error
         with client:
             yield Workers(client)

@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from mphygs.batch.work import Outcome, Task
-from mphygs.command import FAILED
+from mphygs.batch.work import FAILED, Outcome, Task
 
 # Workers that one run may be lost with: it may be what ends them.
 MOST_LOST = 3

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mphygs.capture.errors import one_line
-from mphygs.in_use import is_held
+from mphygs.capture.folder_mark import is_held
 
 # Every library that a command loads takes its number of threads from one of these.
 THREADS = (
@@ -26,8 +26,8 @@ THREADS = (
 TICK = 0.2
 # How long a process outlives the worker that began it, at most [s].
 PATIENCE = 30.0
-# Exit code of a command that refuses its input or its options.
-REFUSED = 2
+# Exit codes of a command that fails, and of one that refuses its input or its options.
+FAILED, REFUSED = 1, 2
 
 
 @dataclass(frozen=True)

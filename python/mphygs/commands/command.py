@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import io
 import json
-import math
 import os
-import re
 import shlex
 import sys
 import threading
@@ -19,15 +16,21 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-import tyro
 from threadpoolctl import threadpool_limits
 
 from mphygs.capture.errors import one_line
-from mphygs.console import Console
-from mphygs.in_use import held, hold
+from mphygs.capture.json_values import plain
+from mphygs.commands.console import Console
+from mphygs.commands.in_use import held, hold
+from mphygs.commands.options import (
+    CommonOptions,
+    OptionError,
+    OptionsType,
+    check_counts,
+    read_options,
+)
 from mphygs.model.user_effect import load_plugin
 
 DONE, FAILED, AT_FAULT, INTERRUPTED = 0, 1, 2, 130
@@ -40,24 +43,6 @@ _NO_PLACE = {
 }  # fmt: skip
 
 
-class OptionError(ValueError):
-    """Options that cannot be used: one line with what, where, and what was expected."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CommonOptions:
-    """Options of every command."""
-
-    json: bool = False
-    """Print exactly one JSON object on standard output; everything else goes to standard error."""
-    plugin: Path | None = None
-    """Python file that registers effects of your own, to be named like the others. It is run where it is
-    named here and nowhere else, whatever a run says of the file that it was made with."""
-
-
-OptionsType = TypeVar("OptionsType", bound=CommonOptions)
-
-
 @dataclass(frozen=True)
 class Answer:
     """What a command found. document: for --json; text: for people; code: to exit with."""
@@ -65,75 +50,6 @@ class Answer:
     document: dict[str, object]
     text: str
     code: int = DONE
-
-
-def names(text: str | None) -> tuple[str, ...]:
-    """The names of a comma-separated list; none for None and for an empty text."""
-    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
-
-
-def plain(value: object) -> object:
-    """A value as JSON knows it; numbers that are not finite become null."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, str):
-        return value
-    return str(value)
-
-
-# Options that may stand without their value, and what they mean then.
-_VALUES = {"--feedback": "1"}
-
-
-def _with_values(argv: Sequence[str]) -> list[str]:
-    """The arguments, an option that may stand alone followed by its value."""
-    words = list(argv)
-    for k in reversed(range(len(words))):
-        alone = k + 1 == len(words) or not re.fullmatch(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?", words[k + 1])
-        if words[k] in _VALUES and alone:
-            words.insert(k + 1, _VALUES[words[k]])
-    return words
-
-
-def check_gain(gain: float | None) -> None:
-    """Raises OptionError for a gain of the feedback that is none."""
-    if gain is not None and not 0.0 < gain <= 1.0:
-        raise OptionError(f"--feedback: got {gain:g}; expected a gain above 0, at most 1")
-
-
-def read_options(
-    options_type: type[OptionsType], program: str, words: Sequence[str]
-) -> OptionsType | None:
-    """The options that the words of a command line give; None after --help, which is printed.
-
-    Raises OptionError for words that cannot be read.
-    """
-    heard = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(heard):
-            return tyro.cli(
-                options_type,
-                prog=program,
-                args=_with_values(words),
-                config=(tyro.conf.FlagCreatePairsOff,),
-            )
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            return None
-        complaint = heard.getvalue().split("For full helptext")[0]
-        # The parser draws its complaint in a box.
-        words = re.sub(r"[─-╿]+|-{3,}", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
-        raise OptionError(f"{one_line(words)} (see {program} --help)") from None
 
 
 def run(
@@ -180,15 +96,6 @@ def _with_plugin(line: str, options: CommonOptions) -> str:
 
 # Threads of one process take turns: folders are held, and libraries are limited, for all of them.
 _TURN = threading.RLock()
-
-
-def check_counts(options: CommonOptions) -> None:
-    """Raises OptionError for numbers that many commands take and that are out of their range."""
-    for name, least, most in (("workers", 1, 4096), ("seed", 0, (1 << 64) - 1)):
-        value = getattr(options, name, None)
-        if value is not None and not least <= value <= most:
-            more = f", at most {most}" if value > most else ""
-            raise OptionError(f"--{name}: got {value}; expected {least} or more{more}")
 
 
 @contextlib.contextmanager

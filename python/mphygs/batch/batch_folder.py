@@ -13,16 +13,15 @@ from mphygs.batch.page import page
 from mphygs.batch.summary import Row, csv_text, row_of
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.document import read_document
+from mphygs.capture.json_values import plain
 from mphygs.capture.written import replace_file
-from mphygs.claim import claim_capture, claim_file
-from mphygs.command import OptionError, plain
 
 FORMAT = "mphygs-batch/1"
 DOCUMENT, TABLE, PAGE = "batch.json", "summary.csv", "summary.html"
 
 
 @dataclass(frozen=True)
-class Kept:
+class BatchFolder:
     """A batch in its folder. outcomes: of the runs that have ended, by name."""
 
     order: Order
@@ -31,8 +30,8 @@ class Kept:
     outcomes: dict[str, Outcome]
 
     @classmethod
-    def of(cls, order: Order, out: Path, tasks: Sequence[Task]) -> Kept:
-        """A batch with what came of its runs so far. Raises OptionError for a damaged file."""
+    def of(cls, order: Order, out: Path, tasks: Sequence[Task]) -> BatchFolder:
+        """A batch with what came of its runs so far. Raises ValueError for a damaged file."""
         outcomes = {task.name: _outcome(task) for task in tasks if task.outcome.is_file()}
         return cls(order, out, tasks, outcomes)
 
@@ -86,15 +85,6 @@ class Kept:
         }
 
 
-def claim_batch(out: Path) -> None:
-    """Hold the folder of a batch that begins. Raises OptionError where that would destroy another's files."""
-    if (out / "capture.json").exists():
-        raise OptionError(f"--out {out}: holds a capture; expected a new folder")
-    claim_capture(out)
-    for name in (DOCUMENT, TABLE, PAGE):
-        claim_file(out / name)
-
-
 def forget(tasks: Sequence[Task]) -> None:
     """Take away what an older batch has said: a run goes on only where it was begun by this one."""
     for task in tasks:
@@ -103,13 +93,13 @@ def forget(tasks: Sequence[Task]) -> None:
 
 
 def read_order(out: Path) -> Order:
-    """What the batch in a folder was asked for. Raises OptionError where there is none."""
+    """What the batch in a folder was asked for. Raises ValueError where there is none."""
     path = out / DOCUMENT
     if not path.is_file():
-        raise OptionError(f"--resume: {out} holds no batch; expected the --out of an earlier mphygs batch")
+        raise ValueError(f"--resume: {out} holds no batch; expected the --out of an earlier mphygs batch")
     found = read_document(path).table()
     if found.get("format") != FORMAT or not isinstance(found.get("order"), Mapping):
-        raise OptionError(f"{path}: is no {FORMAT}; expected what mphygs batch writes")
+        raise ValueError(f"{path}: is no {FORMAT}; expected what mphygs batch writes")
     return Order.of(found["order"], str(path))
 
 
@@ -119,5 +109,5 @@ def _outcome(task: Task) -> Outcome:
         outcome = Outcome(**read_document(task.outcome, finite=False).table())
         row_of(task, outcome)
     except (AttributeError, KeyError, TypeError) as error:
-        raise OptionError(f"{task.outcome}: is damaged; expected what mphygs batch writes") from error
+        raise ValueError(f"{task.outcome}: is damaged; expected what mphygs batch writes") from error
     return outcome

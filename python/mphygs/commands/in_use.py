@@ -1,4 +1,4 @@
-"""Folders that a command writes to: it holds them, and they carry this program's mark."""
+"""Folders that a command writes to: it holds them while it works, and marks them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-# In every folder that this program was given to write to; while a command writes there, it says which one.
-MARK = ".mphygs"
-FORMAT = "mphygs-folder/1"
+from mphygs.capture.folder_mark import FORMAT, MARK
 
 
 class HeldError(ValueError):
@@ -31,29 +29,6 @@ class _Held:
 
 
 _HELD: dict[Path, _Held] = {}
-
-
-def is_marked(folder: Path) -> bool:
-    """Whether a folder carries the mark."""
-    try:
-        return json.loads((folder / MARK).read_text(encoding="utf-8")).get("format") == FORMAT
-    except (OSError, ValueError, AttributeError, RecursionError):
-        return False
-
-
-def is_held(folder: Path) -> bool:
-    """Whether another process writes to a folder now."""
-    try:
-        descriptor = os.open(folder / MARK, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return error.errno in (errno.EAGAIN, errno.EACCES)
-    finally:
-        os.close(descriptor)
-    return False
 
 
 def hold(folder: Path) -> None:

@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from mphygs.capture.errors import CaptureError
+from mphygs.capture.json_values import plain
 from mphygs.capture.record import Capture
 from mphygs.capture.written import replace_file
-from mphygs.command import OptionError, plain
 
 NOTE = "made.json"
 STAGES = "stages"
@@ -43,7 +44,7 @@ class Stage:
         """One of three words: "made", with the same options; "own", files of a user or changed by one;
         "missing", still to be made, which files made with other options are as well.
 
-        Raises OptionError where some files are a user's own and others are not there.
+        Raises CaptureError where some files are a user's own and others are not there.
         """
         note = self._note()
         if note and note.get("unfinished"):
@@ -56,7 +57,7 @@ class Stage:
             same = note is not None and note.get("made_of") == self.made_of
             return "made" if same and not lacking and there.keys() == digests.keys() else "missing"
         if lacking:
-            raise OptionError(
+            raise CaptureError(
                 f"{self.folder}: {own[0]} is not of this program's making, and {', '.join(lacking)} is not "
                 "there; expected all of them, or none"
             )

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from mphygs.batch.dispatch import Running
 from mphygs.batch.work import last_line
-from mphygs.console import Console, is_terminal
+from mphygs.commands.console import Console, is_terminal
 
 # Seconds between two views: where they take each other's place, and where each is written below the last.
 REDRAWN, TOLD = 0.5, 30.0

@@ -11,12 +11,12 @@ from pathlib import Path
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.stages import NOTE, STAGES
 from mphygs.capture.written import replace_file
-from mphygs.command import DONE, INTERRUPTED, Console
+from mphygs.commands.command import DONE, INTERRUPTED
+from mphygs.commands.console import Console
 from mphygs.fit.image_capture import is_pictured
 from mphygs.fit.stage_files import StageFolder
-from mphygs.stages import NOTE
-from mphygs.stages import STAGES as FOLDER
 
 SECONDS = "seconds.json"
 
@@ -85,7 +85,7 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
     path: of the capture; run: folder that has, or gets, the folder of the stages. Raises StageError, one
     line, where a stage failed; what was done before is kept.
     """
-    folder = run / FOLDER
+    folder = run / STAGES
     seconds = kept_seconds(folder)
     stages = missing_stages(capture, folder)
     for number, stage in enumerate(stages):
@@ -93,7 +93,7 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
             continue
         console.say(f"stage {number + 1} of {len(stages)}: {stage.name}")
         began = time.monotonic()
-        module = importlib.import_module(f"mphygs.{stage.command}")
+        module = importlib.import_module(f"mphygs.commands.{stage.command}")
         code = module.main([str(path), "--out", str(run), *stage.arguments])
         if code == INTERRUPTED:
             raise KeyboardInterrupt

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from mphygs.baselines.kinds import Baseline
-from mphygs.command import CommonOptions, OptionError, check_gain, names
+from mphygs.commands.options import CommonOptions, OptionError, check_gain, names
 from mphygs.fit.of_run import HOMOGENEOUS
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS

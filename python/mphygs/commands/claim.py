@@ -6,10 +6,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from mphygs.command import OptionError
+from mphygs.capture.folder_mark import is_marked
+from mphygs.capture.stages import STAGES
+from mphygs.commands.in_use import hold
+from mphygs.commands.options import OptionError
 from mphygs.fit.run import DOCUMENT, FORMAT, TRAINED, same_file
-from mphygs.image_stages import FOLDER
-from mphygs.in_use import hold, is_marked
 
 # What other commands found with a run that stands there no more.
 COMPARISON = "comparison.json"
@@ -51,7 +52,7 @@ def claim(
     """
     _check_place(folder)
     if folder.is_dir():
-        found = {i.name for i in folder.iterdir() if i.name != FOLDER and not is_marked(i)}
+        found = {i.name for i in folder.iterdir() if i.name != STAGES and not is_marked(i)}
         known = (
             is_marked(folder)
             or any(_is_run(folder / name / DOCUMENT) for name in (".", *beside))

@@ -11,17 +11,15 @@ from typing import Literal
 import numpy as np
 
 from mphygs.capture.errors import CaptureError, fault
-from mphygs.capture.format import Capture, load_capture
+from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import quaternion_from_matrix
 from mphygs.capture.views import Photograph, RestViews, SequenceViews, rest_views_of, sequence_views_of
-from mphygs.command import OptionError, names
 from mphygs.motion.camera_check import check_cameras
 from mphygs.motion.contact import coarse_contact
 from mphygs.motion.grip import Grip, find_grip
 from mphygs.motion.registration import Registration, register
 from mphygs.motion.stage_files import (
-    GAUSSIANS,
     STAGES,
     ContactHold,
     MotionStage,
@@ -65,39 +63,17 @@ class VideoRun:
     scale: float = 1.0
 
     @classmethod
-    def open(
-        cls, capture: Path, folder: Path, gaussians: Path | None, longest: int, scale: float = 1.0
-    ) -> VideoRun:
-        """gaussians: a file of one's own, `scale` metres per unit of it; None for that of the stage `rest`,
-        or of the capture.
+    def of(cls, capture: Capture, folder: Path, gaussians: Path, longest: int, scale: float) -> VideoRun:
+        """gaussians: their file, `scale` metres per unit of it. Raises CaptureError for a damaged one."""
+        rest = rest_views_of(capture) if capture.views is not None else None
+        return cls(capture, folder, gaussians, read_gaussians(gaussians, scale), rest, longest, scale)
 
-        Raises CaptureError or OptionError, one line, where there is none or it cannot be used.
-        """
-        if longest < 16:
-            raise OptionError(f"--longest: got {longest}; expected at least 16")
-        loaded = load_capture(capture)
-        file = gaussians or folder / GAUSSIANS
-        if gaussians is None and not file.is_file() and loaded.gaussians is not None:
-            file, scale = loaded.gaussians, loaded.gaussians_scale
-        if not file.is_file():
-            raise OptionError(
-                f"{file}: is not there; expected Gaussians of the object at rest, by mphygs reconstruct "
-                f"{capture} --out {folder}, or a file of your own by --gaussians"
-            )
-        rest = rest_views_of(loaded) if loaded.views is not None else None
-        return cls(loaded, folder, file, read_gaussians(file, scale), rest, longest, scale)
-
-    def recordings(self, wanted: str | None) -> list[Recording]:
-        """The sequences of a comma-separated list; None for all that have videos."""
-        if wanted is None:
-            found = [r for r in self.capture.sequences if r.views is not None]
-            if not found:
-                raise fault(str(self.capture.folder / "capture.json"), "has no sequence with views", "video")
-            return found
-        try:
-            return [self.capture.sequence(name) for name in names(wanted)]
-        except KeyError as error:
-            raise OptionError(f"--sequences: {error.args[0]}") from error
+    def recordings(self) -> list[Recording]:
+        """The sequences that have videos. Raises CaptureError where none has."""
+        found = [r for r in self.capture.sequences if r.views is not None]
+        if not found:
+            raise fault(str(self.capture.folder / "capture.json"), "has no sequence with views", "video")
+        return found
 
     def views(self, recording: Recording) -> SequenceViews:
         """The videos of a sequence."""

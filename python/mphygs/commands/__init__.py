@@ -1,0 +1,1 @@
+"""The commands: options, frame, progress and claims. Nothing else parses, prints or exits."""
