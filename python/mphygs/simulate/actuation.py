@@ -1,8 +1,8 @@
 """Forces, pressures and tendons that are given frame by frame, as the core takes them.
 
 They act at points that the material or a hold carries (see cpp/include/mphygs/physics/actuation.hpp). Their
-numbers are the core's channels: gain * values(t - delay) of every actuator, as cubic polynomials in the share of each
-output interval that have its value and its rate at both ends.
+numbers are the core's channels: gain * values(t - delay) of every actuator, as cubic polynomials in the
+share of each output interval that have its value and its rate at both ends.
 """
 
 from __future__ import annotations
