@@ -1,5 +1,7 @@
 """The independent finite elements and the core tell the same story, effect by effect."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,10 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mphygs.capture.actuators import Pressure
 from mphygs.capture.format import load_capture
 from mphygs.synth import finite_element
 from mphygs.synth.brick_mesh import brick_mesh
 from mphygs.synth.finite_element import simulate_finite_element
+from mphygs.synth.finite_element_drive import Driven
 from mphygs.synth.finite_element_stress import MaterialStress
 from mphygs.synth.make import _bare_capture, _recording, make_capture
 from mphygs.synth.recipe import truth_spacing
@@ -134,14 +138,15 @@ def test_the_mesh_has_the_volume_the_area_and_exact_slopes() -> None:
     mesh = brick_mesh(body.parts, body.hold, 0.0101)
     (x, y, z) = (0.09 - 0.0072, 0.018, 0.020)
     assert mesh.volume.sum() == pytest.approx(x * y * z)
-    assert mesh.node_volume.sum() == pytest.approx(x * y * z)
-    assert (mesh.node_volume > 0.0).all()
+    about = mesh.lumped(np.ones_like(mesh.volume))
+    assert about.sum() == pytest.approx(x * y * z)
+    assert (about > 0.0).all()
     assert mesh.surface_area.sum() == pytest.approx(2.0 * x * (y + z) + y * z)
     assert mesh.size.max() <= 0.0101
     split = 0.55 * 0.09
     assert ((mesh.points[..., 0] < split) == (mesh.part == 0)[:, None]).all()
     quadratic = mesh.nodes[:, 0] ** 2 * mesh.nodes[:, 1]
-    slopes = [(quadratic[mesh.element] @ mesh.slope[j].T) * (2.0 / mesh.size[:, j, None]) for j in range(3)]
+    slopes = [(quadratic[mesh.element] @ mesh.slope[j].T) / mesh.size[:, j, None] for j in range(3)]
     px, py = mesh.points[..., 0], mesh.points[..., 1]
     assert slopes[0] == pytest.approx(2.0 * px * py)
     assert slopes[1] == pytest.approx(px**2)
@@ -161,6 +166,57 @@ def test_a_flower_of_blocks_is_meshed_to_its_surface() -> None:
     head, leaf, section = 4.0, 2.0, 4.0
     faces = sum(part.area for part in body.parts) / 0.006**2 - 2.0 * (head + 2.0 * leaf) - (8.0 + section)
     assert mesh.surface_area.sum() == pytest.approx(faces * 0.006**2)
+
+
+@pytest.mark.parametrize("part", [None, 1])
+def test_a_pressure_acts_on_the_area_that_its_box_cuts_out(part) -> None:
+    body = two_part_bar()
+    mesh = brick_mesh(body.parts, body.hold, 0.0101)
+    low, high = mesh.nodes.min(0), mesh.nodes.max(0)
+    if part == 1:
+        low[0] = 0.55 * 0.09
+    low[1] += 5e-4
+    box = np.array([[0.031, low[1], high[2] - 1e-4], [0.0777, 0.0013, high[2] + 1e-4]])
+    actuator = Pressure(
+        np.full(3, 50.0), "blown", part=None if part is None else body.part_names[part], box=box
+    )
+    driven = Driven(actuator, mesh, SimpleNamespace(box=body.hold), body.part_names, 10.0, None)
+    stretched = np.array([[1.1, 0.2, 0.0], [-0.1, 0.9, 0.3], [0.0, 0.1, 1.2]])
+    force = driven.force(mesh.nodes @ stretched.T, 0.05)
+    area = (0.0777 - max(0.031, low[0])) * (0.0013 - low[1])
+    normal = np.linalg.det(stretched) * np.linalg.inv(stretched).T @ [0.0, 0.0, 1.0]
+    assert force.sum(0) == pytest.approx(-50.0 * area * normal)
+    # Where it acts, by its moment about the origin.
+    middle = stretched @ [0.5 * (0.0777 + max(0.031, low[0])), 0.5 * (0.0013 + low[1]), high[2]]
+    moment = np.cross(mesh.nodes @ stretched.T, force).sum(0)
+    assert moment == pytest.approx(np.cross(middle, force.sum(0)))
+
+
+def test_a_pressure_all_around_has_no_sum_but_what_the_hold_keeps_from_it() -> None:
+    body = block_flower()
+    mesh = brick_mesh(body.parts, body.hold, 0.006)
+    around = mesh.patch(None, None)
+    cut = 4.0 * 0.006**2
+    assert np.linalg.norm(around.area, axis=1).sum() == pytest.approx(mesh.surface_area.sum())
+    assert around.area.sum(0) == pytest.approx([0.0, 0.0, cut], abs=1e-12)
+    # The divergence theorem, with the cut's own share.
+    flux = np.einsum("mi,mi->", around.value @ mesh.nodes, around.area)
+    bottom = mesh.nodes[:, 2].min()
+    assert flux - cut * bottom == pytest.approx(3.0 * mesh.volume.sum())
+
+
+def test_it_shares_no_code_with_the_model() -> None:
+    """Whatever comes in with it, with the package's own way in, which knows both simulators, left out."""
+    told = (
+        "import sys, types, mphygs; from pathlib import Path; synth = types.ModuleType('mphygs.synth');"
+        "synth.__path__ = [str(Path(mphygs.__file__).parent / 'synth')]; sys.modules['mphygs.synth'] = synth;"
+        "import mphygs.synth.finite_element; print(*(m for m in sys.modules if m.startswith('mphygs.')))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    packages = {name.split(".")[1] for name in loaded.stdout.split()}
+    assert packages == {"capture", "scene", "synth"}
+    scene = {name for name in loaded.stdout.split() if name.startswith("mphygs.scene.")}
+    assert scene == {"mphygs.scene.rays"}
 
 
 def unmoved(folder, hidden: tuple[str, ...], frames: int = 3) -> np.ndarray:

@@ -1,6 +1,8 @@
-"""Bricks of second order over an object of boxes: the other way to discretise it.
+"""Bricks of second order over an object of boxes, by scikit-fem: the other way to discretise it.
 
-Twenty-seven nodes a brick at Gauss-Lobatto points, so that the mass is diagonal, and 27 Gauss points.
+Twenty-seven nodes a brick at Gauss-Lobatto points, so that the mass is diagonal, and 27 Gauss points. What
+scikit-fem makes once, mesh, numbering, shape functions and quadrature, is kept here as arrays that a step in
+time contracts: its own assembly in every step takes several times as long.
 """
 
 from __future__ import annotations
@@ -11,69 +13,73 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
+from skfem import Basis, ElementHex2, FacetBasis, LinearForm, MeshHex
+from skfem.quadrature import get_quadrature
 
 from mphygs.capture.meshes import Part
 from mphygs.scene.rays import inside
 
 # Two coordinates closer than this are one [m].
 SAME = 1e-7
-_LOBATTO = np.array([-1.0, 0.0, 1.0])
-_LOBATTO_WEIGHT = np.array([1.0, 4.0, 1.0]) / 3.0
-_GAUSS = np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0])
-_GAUSS_WEIGHT = np.array([5.0, 8.0, 5.0]) / 9.0
+# Degree of the polynomials that three Gauss points each way integrate.
+DEGREE = 5
 
 
-def lagrange(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values and slopes (n, 3) at x (n,) in [-1, 1] of the polynomials through -1, 0 and 1."""
-    value = np.stack([0.5 * x * (x - 1.0), 1.0 - x**2, 0.5 * x * (x + 1.0)], axis=1)
-    return value, np.stack([x - 0.5, -2.0 * x, x + 0.5], axis=1)
+@dataclass(repr=False)
+class _Bricks(MeshHex):
+    """Boxes along the axes."""
 
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corners (3, E) [m]."""
+        corners = self.p[:, self.t]
+        return corners.min(axis=1), corners.max(axis=1)
 
-def _product(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """(n^3, m^3) of factors (n, m) along x, y and z."""
-    return np.kron(np.kron(a, b), c)
+    def nearest(self, x: np.ndarray) -> np.ndarray:
+        """(M,) the brick in which, or nearest to which, points (3, M) [m] lie."""
+        low, high = (end[:, None] for end in self.bounds)
+        gap = np.maximum(np.maximum(low - x[..., None], x[..., None] - high), 0.0)
+        return (gap**2).sum(axis=0).argmin(axis=1)
+
+    def element_finder(self, mapping: object = None) -> object:
+        return lambda *x: self.nearest(np.stack(x))
 
 
 @dataclass(frozen=True, eq=False)
+class Patch:
+    """Gauss points on a surface. value: (M, N) shape functions, slope: along x, y, z; area: (M, 3) [m^2] of
+    each, outward."""
+
+    value: csr_array
+    slope: Sequence[csr_array]
+    area: np.ndarray
+
+
 class BrickMesh:
-    """nodes: (N, 3) [m]; element: (E, 27) node indices; corner, size: (E, 3) [m]; part: (E,); bare: (E, 3, 2)
-    bool, whether nothing lies behind the lower and upper face across x, y and z."""
+    """basis: scikit-fem's, at the Gauss points; part: (E,) the part of each brick."""
 
-    nodes: np.ndarray
-    element: np.ndarray
-    corner: np.ndarray
-    size: np.ndarray
-    part: np.ndarray
-    bare: np.ndarray
+    def __init__(self, mesh: _Bricks, part: np.ndarray) -> None:
+        self.basis = Basis(mesh, ElementHex2(), intorder=DEGREE)
+        self.part = part
+        # (N, 3) [m]; (E, 27) node indices.
+        self.nodes = np.ascontiguousarray(self.basis.doflocs.T)
+        self.element = np.ascontiguousarray(self.basis.element_dofs.T)
+        low, high = mesh.bounds
+        self.size = (high - low).T  # (E, 3) [m]
+        # Shape functions (27 Gauss points, 27 nodes), and their slopes along x, y and z in a brick of edge 1
+        # (3, 27, 27): bricks are alike but for their sizes.
+        self.value = np.stack([np.array(shape)[0] for (shape,) in self.basis.basis], axis=1)
+        self.slope = np.stack([shape.grad[:, 0] for (shape,) in self.basis.basis], axis=2)
+        self.slope *= self.size[0, :, None, None]
+        self.volume = self.basis.dx  # (E, 27) of the Gauss points [m^3]
+        self.points = np.moveaxis(np.asarray(self.basis.global_coordinates()), 0, 2)  # (E, 27, 3) [m]
 
-    @cached_property
-    def value(self) -> np.ndarray:
-        """(27 Gauss points, 27 nodes): shape functions."""
-        one = lagrange(_GAUSS)[0]
-        return _product(one, one, one)
-
-    @cached_property
-    def slope(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(27, 27) slopes along x, y and z in an element from -1 to 1."""
-        one, d = lagrange(_GAUSS)
-        return _product(d, one, one), _product(one, d, one), _product(one, one, d)
-
-    @cached_property
-    def points(self) -> np.ndarray:
-        """(E, 27, 3) Gauss points [m]."""
-        return self.value @ self.nodes[self.element]
-
-    @cached_property
-    def volume(self) -> np.ndarray:
-        """(E, 27) of the Gauss points [m^3]."""
-        weight = _product(*[_GAUSS_WEIGHT[None]] * 3)[0]
-        return np.prod(self.size, axis=1)[:, None] / 8.0 * weight
-
-    @cached_property
-    def node_volume(self) -> np.ndarray:
-        """(E, 27) what each node of each element stands for [m^3]."""
-        weight = _product(*[_LOBATTO_WEIGHT[None]] * 3)[0]
-        return np.prod(self.size, axis=1)[:, None] / 8.0 * weight
+    def lumped(self, density: np.ndarray) -> np.ndarray:
+        """(N,) the integral about each node of a density (E, 27) at the nodes of every brick."""
+        places = self.basis.elem.doflocs.T
+        weights = np.prod(np.where(places == 0.5, 4.0, 1.0) / 6.0, axis=0)
+        corners = Basis(self.basis.mesh, self.basis.elem, quadrature=(places, weights))
+        return LinearForm(lambda v, w: w["density"] * v).assemble(corners, density=density)
 
     @cached_property
     def gather(self) -> csr_array:
@@ -85,28 +91,46 @@ class BrickMesh:
     @cached_property
     def surface_area(self) -> np.ndarray:
         """(N,) of the free surface, the cut at the hold not counted [m^2]."""
-        area = np.zeros(len(self.nodes))
-        for axis in range(3):
-            across = [a for a in range(3) if a != axis]
-            for end in (0, 1):
-                outer = self.bare[:, axis, end]
-                weight = [_LOBATTO_WEIGHT] * 3
-                weight[axis] = np.array([1.0 - end, 0.0, end])
-                share = np.kron(np.kron(*weight[:2]), weight[2])
-                face = np.prod(self.size[:, across], axis=1)[outer] / 4.0
-                np.add.at(area, self.element[outer], face[:, None] * share)
-        return area
+        surface = FacetBasis(self.basis.mesh, self.basis.elem, facets="bare", intorder=DEGREE)
+        return LinearForm(lambda v, w: v).assemble(surface)
+
+    def patch(self, part: int | None, box: np.ndarray | None) -> Patch:
+        """The free surface of a part (None: of all) in a box (2, 3) [m] (None: everywhere), which may cut
+        through faces of bricks."""
+        mesh, mapping = self.basis.mesh, self.basis.mapping
+        facets = mesh.boundaries["bare"]
+        if part is not None:
+            facets = facets[self.part[mesh.f2t[0, facets]] == part]
+        corners = mesh.p[:, mesh.facets[:, facets]]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        flat = high - low < SAME
+        if box is not None:
+            low, high = np.maximum(low, box[0][:, None]), np.minimum(high, box[1][:, None])
+        seen = np.all(high - low > np.where(flat, -SAME, SAME), axis=0)
+        low, high, flat, brick = low[:, seen], high[:, seen], flat[:, seen], mesh.f2t[0, facets[seen]]
+        edge = np.where(flat, 0.0, high - low)
+        outward = np.where(flat, np.sign(low + high - sum(mesh.bounds)[:, brick]), 0.0)
+        area = outward * np.prod(np.where(flat, 1.0, edge), axis=0)
+        local, share = get_quadrature(mesh.brefdom, DEGREE)
+        # The two axes along each face are the two of its quadrature.
+        x = low[..., None] + edge[..., None] * local[np.clip(np.cumsum(~flat, axis=0) - 1, 0, 1)]
+        places = mapping.invF(x, tind=brick)
+        shapes = [self.basis.elem.gbasis(mapping, places, node, tind=brick)[0] for node in range(27)]
+        columns = np.repeat(self.element[brick], len(share), axis=0)
+        starts = 27 * np.arange(len(columns) + 1)
+
+        def matrix(values: list[np.ndarray]) -> csr_array:
+            data = np.stack(values, axis=-1)
+            return csr_array((data.ravel(), columns.ravel(), starts), shape=(len(columns), len(self.nodes)))
+
+        slope = [matrix([shape.grad[axis] for shape in shapes]) for axis in range(3)]
+        return Patch(matrix([np.array(s) for s in shapes]), slope, (area[..., None] * share).reshape(3, -1).T)
 
     def weights(self, points: np.ndarray) -> csr_array:
         """(M, N) shape functions at points (M, 3) [m], of the nearest element where they lie in none."""
-        gap = np.maximum(np.abs(points[:, None] - self.corner - 0.5 * self.size) - 0.5 * self.size, 0.0)
-        owner = (gap**2).sum(axis=2).argmin(axis=1)
-        local = 2.0 * (points - self.corner[owner]) / self.size[owner] - 1.0
-        x, y, z = (lagrange(local[:, a])[0] for a in range(3))
-        value = np.einsum("mi,mj,mk->mijk", x, y, z).reshape(len(points), 27)
-        rows = np.repeat(np.arange(len(points)), 27)
-        shape = (len(points), len(self.nodes))
-        return csr_array((value.ravel(), (rows, self.element[owner].ravel())), shape=shape)
+        mesh, x = self.basis.mesh, np.asarray(points, float).T
+        low, high = (end[:, mesh.nearest(x)] for end in mesh.bounds)
+        return csr_array(self.basis.probes(np.clip(x, low, high)))
 
 
 def brick_mesh(parts: Sequence[Part], hold: np.ndarray, size: float) -> BrickMesh:
@@ -115,35 +139,22 @@ def brick_mesh(parts: Sequence[Part], hold: np.ndarray, size: float) -> BrickMes
     hold: (2, 3) box [m]; what lies wholly inside it is left out. Raises ValueError for parts that are not
     made of boxes along the axes.
     """
-    axes = [_lines(parts, hold, axis, size) for axis in range(3)]
-    counts = [len(a) - 1 for a in axes]
-    index = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
-    corner = np.stack([axes[a][index[:, a]] for a in range(3)], axis=1)
-    extent = np.stack([np.diff(axes[a])[index[:, a]] for a in range(3)], axis=1)
-    middle = corner + 0.5 * extent
-    owner = np.full(len(index), -1)
+    mesh = _Bricks.init_tensor(*(_lines(parts, hold, axis, size) for axis in range(3)))
+    low, high = mesh.bounds
+    middle, volume = 0.5 * (low + high).T, np.prod(high - low, axis=0)
+    owner = np.full(mesh.nelements, -1)
     for number, part in enumerate(parts):
         own = inside(part, middle)
-        if not _of_boxes(part) or not np.isclose(np.prod(extent[own], axis=1).sum(), part.volume, atol=0.0):
+        if not _of_boxes(part) or not np.isclose(volume[own].sum(), part.volume, atol=0.0):
             raise ValueError(
                 f"part '{part.name}': the finite-element simulator knows objects of boxes along the axes only"
             )
         owner[own] = number
-    # One empty cell all around, so that every cell has neighbours.
-    filled = np.pad(owner.reshape(counts) >= 0, 1)
-    bare = np.stack(
-        [[~np.roll(filled, shift, axis)[1:-1, 1:-1, 1:-1].ravel() for shift in (1, -1)] for axis in range(3)]
-    ).transpose(2, 0, 1)
-    free = (owner >= 0) & ~np.all((middle > hold[0]) & (middle < hold[1]), axis=1)
-    inner = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    fine = [np.sort(np.concatenate([a, 0.5 * (a[1:] + a[:-1])])) for a in axes]
-    place = 2 * index[free][:, None] + inner
-    number = (place[..., 0] * len(fine[1]) + place[..., 1]) * len(fine[2]) + place[..., 2]
-    used, element = np.unique(number, return_inverse=True)
-    nodes = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1).reshape(-1, 3)[used]
-    return BrickMesh(
-        nodes, element.reshape(number.shape), corner[free], extent[free], owner[free], bare[free]
-    )
+    filled = np.flatnonzero(owner >= 0)
+    whole = mesh.restrict(filled)
+    free = np.flatnonzero(~np.all((middle > hold[0]) & (middle < hold[1]), axis=1)[filled])
+    bare = whole.with_boundaries({"bare": whole.boundary_facets()})
+    return BrickMesh(bare.restrict(free), owner[filled][free])
 
 
 def _lines(parts: Sequence[Part], hold: np.ndarray, axis: int, size: float) -> np.ndarray:

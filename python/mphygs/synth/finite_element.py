@@ -1,9 +1,13 @@
-"""An independent simulator: explicit finite elements of second order, no code shared with the model."""
+"""An independent simulator: explicit finite elements of second order, by scikit-fem.
+
+It shares no code with the model, only what reads a capture and tells which points lie in a mesh.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,16 +15,16 @@ from mphygs.capture.actuators import Force
 from mphygs.capture.format import Capture, Load
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import ACCELERATION, Sensor
-from mphygs.model.registry import effect
-from mphygs.simulate.errors import SimulationError
 from mphygs.synth.brick_mesh import SAME, brick_mesh
 from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.finite_element_drive import Driven
 from mphygs.synth.finite_element_rest import stiffness, unloaded
 from mphygs.synth.finite_element_stress import MaterialStress, Values, cofactor, published, times, transposed
-from mphygs.synth.hidden import Hidden
-from mphygs.synth.recipe import Recipe
-from mphygs.synth.truth import Motion
+from mphygs.synth.motion import Motion
+
+if TYPE_CHECKING:
+    from mphygs.synth.hidden import Hidden
+    from mphygs.synth.recipe import Recipe
 
 AIR_DENSITY = 1.2  # [kg/m^3]
 # Share of the stable step that is used.
@@ -43,8 +47,8 @@ def simulate_finite_element(
     """True motion of the markers of one recording, by central differences in time.
 
     spacing: of a grid as fine as the bricks [m]; progress: told the number of frames after release that
-    are done. Raises ValueError for objects and effects that it does not know, SimulationError where the
-    motion is unstable or no stress-free shape is found.
+    are done. Raises ValueError for objects and effects that it does not know, RuntimeError where the motion
+    is unstable or no stress-free shape is found.
     """
     for thing in hidden:
         if thing.kind == "effect" and thing.name not in KNOWN:
@@ -78,7 +82,7 @@ class _Body:
         self.stress = MaterialStress(mu.ravel(), lame.ravel(), self.effects)
         density = np.array([m.density for m in materials])[mesh.part][:, None]
         at_nodes = density * np.exp(self._slope("density_gradient", names, mesh.nodes[mesh.element]))
-        self.mass = mesh.gather @ (at_nodes * mesh.node_volume).ravel()
+        self.mass = mesh.lumped(at_nodes)
         at_points = density * np.exp(self._slope("density_gradient", names, mesh.points))
         self.point_mass = (at_points * mesh.volume).ravel()
         self.held = self._in_hold(mesh.nodes)
@@ -90,7 +94,7 @@ class _Body:
             for load in recording.loads
         ]  # fmt: skip
         self.drives = [
-            Driven(actuator, mesh, self.hold, capture.parts, recording.fps,
+            Driven(actuator, mesh, self.hold, names, recording.fps,
                    self._share(actuator.box) if isinstance(actuator, Force) else None)
             for actuator in recording.actuators
         ]  # fmt: skip
@@ -125,16 +129,12 @@ class _Body:
         """(N,) of the nodes in a box, by the volume about them."""
         mesh, (low, high) = self.mesh, box
         within = np.all((mesh.nodes >= low - SAME) & (mesh.nodes <= high + SAME), axis=1)
-        share = (mesh.gather @ mesh.node_volume.ravel()) * within
+        share = mesh.lumped(np.ones_like(mesh.volume)) * within
         return share / share.sum()
 
     def _strain(self, mu: np.ndarray, lame: np.ndarray) -> None:
         """The strain in which loads at rest keep the published shape; mu, lame: (E, 27) [Pa]."""
-        loads = {
-            n: v
-            for n, v in self.effects.items()
-            if effect(n).loads_at_rest and self.terms[n].settings.get("at_rest", True)
-        }
+        loads = {n: v for n, v in self.effects.items() if self.terms[n].at_rest}
         still = np.zeros_like(self.mesh.nodes)
         load = self._outside(self.mesh.nodes, still, 0.0, loads)
         if "attached_mass" in loads:
@@ -157,8 +157,8 @@ class _Body:
             f = strained(unloaded_by)
             return self._nodal(published(law.stress(f, None, 0.0, 0.0), f))
 
-        matrix = stiffness(self.mesh, mu, lame)
-        self.strained = strained(unloaded(self.mesh, self.held, matrix, inside, load))
+        matrix = stiffness(self.mesh.basis, mu, lame)
+        self.strained = strained(unloaded(self.held, matrix, inside, load))
 
     def _slope(self, name: str, names: tuple[str, ...], points: np.ndarray) -> np.ndarray:
         """slope (X - centroid).axis of a gradient effect in its part, 0 elsewhere; points: (E, n, 3)."""
@@ -229,21 +229,16 @@ class _Body:
     def _nodal(self, stress: np.ndarray, body_force: np.ndarray | None = None) -> np.ndarray:
         """(N, 3) [N] of a stress (3, 3, Q) [Pa] per area of the published shape, and of forces (Q, 3) [N]."""
         mesh = self.mesh
-        weighted = (stress * mesh.volume.ravel()).reshape(3, 3, *mesh.volume.shape)
-        nodal = np.zeros((3, *mesh.element.shape))
-        for j in range(3):
-            nodal -= (weighted[:, j] * (2.0 / mesh.size[:, j, None])) @ mesh.slope[j]
+        weighted = (stress * mesh.volume.ravel()).reshape(3, 3, *mesh.volume.shape) / mesh.size.T[..., None]
+        nodal = -weighted.swapaxes(1, 2).reshape(3, -1, 81) @ mesh.slope.reshape(81, 27)
         if body_force is not None:
             nodal += np.ascontiguousarray(body_force.T).reshape(nodal.shape) @ mesh.value
         return mesh.gather @ nodal.reshape(3, -1).T
 
     def _gradient(self, values: np.ndarray) -> np.ndarray:
         """(3, 3, Q) derivative along x, y, z at the Gauss points of element values (3, E, 27)."""
-        out = np.empty((3, 3, *self.mesh.volume.shape))
-        for j in range(3):
-            np.matmul(values, self.mesh.slope[j].T, out=out[:, j])
-            out[:, j] *= 2.0 / self.mesh.size[:, j, None]
-        return out.reshape(3, 3, -1)
+        slope = (values @ self.mesh.slope.reshape(81, 27).T).reshape(*values.shape[:2], 3, 27).swapaxes(1, 2)
+        return (slope / self.mesh.size.T[..., None]).reshape(3, 3, -1)
 
     def _outside(
         self, x: np.ndarray, v: np.ndarray, time: float, effects: Mapping[str, Values]
@@ -360,7 +355,7 @@ class _Body:
                 # Half a step on from the half step: the state's own time.
                 velocity[frame] = markers @ (late + 0.5 * dt * kick)
                 if not np.isfinite(position[frame]).all():
-                    raise SimulationError(f"finite elements: unstable before frame {frame}")
+                    raise RuntimeError(f"finite elements: unstable before frame {frame}")
                 if progress:
                     progress(frame - first)
             u, v = moved, late

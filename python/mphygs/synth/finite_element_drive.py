@@ -6,9 +6,8 @@ import numpy as np
 
 from mphygs.capture.actuators import Actuator, Force, Pressure, Tendon
 from mphygs.capture.holds import Hold
-from mphygs.capture.meshes import Part
-from mphygs.scene.patch import surface_patch
 from mphygs.synth.brick_mesh import SAME, BrickMesh
+from mphygs.synth.finite_element_stress import cofactor
 
 
 class Driven:
@@ -19,12 +18,12 @@ class Driven:
         actuator: Actuator,
         mesh: BrickMesh,
         hold: Hold,
-        parts: tuple[Part, ...],
+        parts: tuple[str, ...],
         fps: float,
         share: np.ndarray | None,
     ) -> None:
-        """share: (N,) of every node in a force."""
-        self._actuator, self._mesh, self._hold, self._fps, self._share = actuator, mesh, hold, fps, share
+        """parts: their names; share: (N,) of every node in a force."""
+        self._actuator, self._hold, self._fps, self._share = actuator, hold, fps, share
         self._span = (
             actuator.start_frame / fps,
             np.inf if actuator.end_frame is None else actuator.end_frame / fps,
@@ -34,14 +33,8 @@ class Driven:
             low, high = hold.box
             self._held = np.all((actuator.path >= low - SAME) & (actuator.path <= high + SAME), axis=1)
         elif isinstance(actuator, Pressure):
-            patch = surface_patch(
-                parts,
-                max_edge=float(mesh.size.min()),
-                part=actuator.part,
-                box=actuator.box,
-                exclude_boxes=hold.box[None],
-            )
-            self._rows, self._corner = mesh.weights(patch.vertices), patch.triangles
+            part = None if actuator.part is None else parts.index(actuator.part)
+            self._patch = mesh.patch(part, actuator.box)
 
     def force(self, x: np.ndarray, time: float) -> np.ndarray:
         """(N, 3) [N] where the nodes are at x (N, 3) [m]."""
@@ -50,14 +43,11 @@ class Driven:
         size = self._actuator.course(np.array([time]), self._fps)[0]
         if isinstance(self._actuator, Force):
             return self._share[:, None] * size
-        at = self._rows @ x
         if isinstance(self._actuator, Tendon):
-            return self._rows.T @ self._pulled(at, float(size), time)
-        a, b, c = (at[self._corner[:, k]] for k in range(3))
-        pushed = np.zeros_like(at)
-        for k in range(3):
-            np.add.at(pushed, self._corner[:, k], -float(size) / 6.0 * np.cross(b - a, c - a))
-        return self._rows.T @ pushed
+            return self._rows.T @ self._pulled(self._rows @ x, float(size), time)
+        # Nanson's formula: the area that an area of the published shape has become.
+        grown = cofactor(np.stack([slope @ x for slope in self._patch.slope]).transpose(2, 0, 1))
+        return self._patch.value.T @ (-float(size) * np.einsum("ijm,mj->mi", grown, self._patch.area))
 
     def _pulled(self, at: np.ndarray, tension: float, time: float) -> np.ndarray:
         """(P, 3) [N] on the points of a tendon at (P, 3) [m]; what pulls at the hold goes there."""

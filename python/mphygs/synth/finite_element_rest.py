@@ -6,79 +6,66 @@ that bricks stay boxes and the load is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy.optimize import NoConvergence, newton_krylov
-from scipy.sparse import coo_array
+from scipy.sparse import block_array, csc_array, csr_matrix
 from scipy.sparse.linalg import LinearOperator, splu
-
-from mphygs.simulate.errors import SimulationError
-from mphygs.synth.brick_mesh import BrickMesh
+from skfem import Basis, BilinearForm
+from skfem.element import DiscreteField
+from skfem.helpers import dot
 
 # Largest force left at a node, over the largest that acts on one.
 BALANCED = 1e-6
 
 
-def stiffness(mesh: BrickMesh, mu: np.ndarray, lame: np.ndarray) -> coo_array:
-    """(3 N, 3 N) [N/m] of small strains about the published shape, unknowns node by node.
+def stiffness(basis: Basis, mu: np.ndarray, lame: np.ndarray) -> csc_array:
+    """(3 N, 3 N) [N/m] of small strains about the published shape, unknowns axis by axis.
 
     mu, lame: (E, 27) [Pa] at the Gauss points.
     """
-    slope = [
-        2.0 / mesh.size[:, j, None, None] * mesh.slope[j][None] for j in range(3)
-    ]  # (E, 27 Gauss points, 27 nodes)
 
-    def product(weight: np.ndarray, i: int, j: int) -> np.ndarray:
-        return np.einsum("eq,eqa,eqb->eab", weight * mesh.volume, slope[i], slope[j], optimize=True)
+    def block(i: int, j: int) -> csr_matrix:
+        def form(u: DiscreteField, v: DiscreteField, w: Mapping[str, np.ndarray]) -> np.ndarray:
+            sheared = dot(u.grad, v.grad) if i == j else 0.0
+            return w["lame"] * v.grad[i] * u.grad[j] + w["mu"] * (v.grad[j] * u.grad[i] + sheared)
 
-    laplacian = sum(product(mu, k, k) for k in range(3))
-    rows, columns, values = [], [], []
-    for i in range(3):
-        for j in range(3):
-            block = product(lame, i, j) + product(mu, j, i)
-            if i == j:
-                block = block + laplacian
-            rows.append(np.broadcast_to(3 * mesh.element[:, :, None] + i, block.shape).ravel())
-            columns.append(np.broadcast_to(3 * mesh.element[:, None, :] + j, block.shape).ravel())
-            values.append(block.ravel())
-    size = 3 * len(mesh.nodes)
-    return coo_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(size, size)
-    )
+        return BilinearForm(form).assemble(basis, mu=mu, lame=lame)
+
+    return block_array([[block(i, j) for j in range(3)] for i in range(3)], format="csc")
 
 
 def unloaded(
-    mesh: BrickMesh,
     held: np.ndarray,
-    matrix: coo_array,
+    matrix: csc_array,
     inside: Callable[[np.ndarray], np.ndarray],
     load: np.ndarray,
 ) -> np.ndarray:
     """Displacement (N, 3) [m] from the published to the stress-free shape.
 
     held: (N,) bool, nodes that stay; matrix: as of `stiffness`; inside: internal force (N, 3) [N] at such a
-    displacement; load: (N, 3) [N] on the published shape. Raises SimulationError where no shape is found.
+    displacement; load: (N, 3) [N] on the published shape. Raises RuntimeError where no shape is found.
     """
-    free = np.repeat(~held, 3)
-    solve = splu(matrix.tocsc()[np.ix_(free, free)])
+    free = np.tile(~held, 3)
+    solve = splu(matrix[free][:, free])
     near = LinearOperator((free.sum(), free.sum()), matvec=lambda r: solve.solve(np.ravel(r)))
 
     def full(x: np.ndarray) -> np.ndarray:
-        out = np.zeros(3 * len(mesh.nodes))
+        out = np.zeros(3 * len(held))
         out[free] = np.ravel(x)
-        return out.reshape(-1, 3)
+        return out.reshape(3, -1).T
 
     def unbalanced(x: np.ndarray) -> np.ndarray:
         with np.errstate(all="ignore"):
-            return (inside(full(x)) + load).ravel()[free]
+            return (inside(full(x)) + load).T.ravel()[free]
 
     largest = float(np.abs(load).max())
-    start = -solve.solve(load.ravel()[free])
+    start = -solve.solve(load.T.ravel()[free])
     try:
         found = newton_krylov(
             unbalanced, start, inner_M=near, f_tol=BALANCED * largest, maxiter=60, rdiff=1e-7
         )
     except (NoConvergence, ValueError) as error:
-        raise SimulationError("finite elements: no stress-free shape balances the loads at rest") from error
+        raise RuntimeError("finite elements: no stress-free shape balances the loads at rest") from error
     return full(found)

@@ -28,6 +28,12 @@ class Hidden:
     values: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether it is an effect that loads the object at rest as well."""
+        loads = self.kind == "effect" and effects()[self.name].loads_at_rest
+        return loads and bool(self.settings.get("at_rest", True))
+
 
 def names() -> tuple[str, ...]:
     """Everything that can be hidden, by name."""

@@ -19,9 +19,10 @@ from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.instruments import measured, unmeasured
 from mphygs.synth.markers import measure, place_markers
+from mphygs.synth.motion import Motion
 from mphygs.synth.recipe import Recipe, Take, truth_spacing
 from mphygs.synth.shapes import Shape
-from mphygs.synth.truth import Motion, simulate
+from mphygs.synth.truth import simulate
 
 # Of the size of an object: how far about its tip it is pulled.
 TIP = 0.12
@@ -46,7 +47,7 @@ def make_capture(
 
     measure_signal: also simulate without what is hidden, to state its size over the noise; report: told,
     frame by frame, the share of the work that is done and what is simulated.
-    Raises ValueError for a recipe that contradicts itself, SimulationError where it cannot be simulated.
+    Raises ValueError for a recipe that contradicts itself, RuntimeError where it cannot be simulated.
     """
     folder = Path(folder)
     places = place_markers(recipe.shape.parts, recipe.marker_count, np.random.default_rng([recipe.seed, 2]))

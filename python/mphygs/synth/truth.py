@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,24 +16,8 @@ from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import MLS, Settings
 from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.hidden import Hidden
+from mphygs.synth.motion import Motion
 from mphygs.synth.recipe import Recipe
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Markers in all frames: position (T, M, 3) [m], velocity (T, M, 3) [m/s]; movable: (M,) bool, not
-    carried by a hold; substeps: number computed; readings: (T, V, 3) of each of the recording's sensors."""
-
-    position: np.ndarray
-    velocity: np.ndarray
-    movable: np.ndarray
-    substeps: int
-    readings: tuple[np.ndarray, ...] = ()
-
-    def after(self, cut: int) -> Motion:
-        """The motion from a frame on."""
-        readings = tuple(value[cut:] for value in self.readings)
-        return replace(self, position=self.position[cut:], velocity=self.velocity[cut:], readings=readings)
 
 
 def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> Belief:
