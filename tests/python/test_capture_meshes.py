@@ -223,3 +223,37 @@ def test_a_face_that_names_no_vertex_is_told_by_it(index: int, tmp_path: Path) -
     (tmp_path / "a.ply").write_text("\n".join([*header, *rows]) + "\n")
     with pytest.raises(CaptureError, match=f"names vertex {index} of 8, counted from 0"):
         read_mesh(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("shape", ["solid", "auto"])
+def test_a_part_may_say_that_it_is_a_solid(tmp_path: Path, shape: str) -> None:
+    stored(tmp_path, cube())
+    part = read_part(tmp_path, Entry({"name": "a", "mesh": "m.ply", "as": shape}, "capture.json", "part"))
+    assert np.isclose(part.volume, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"as": "rod"}, 'part.as: a part as a "rod" is not simulated yet'),
+        ({"as": "shell"}, 'part.as: a part as a "shell" is not simulated yet'),
+        ({"thickness": 0.0002}, "part.thickness: a mesh that is a middle surface is not simulated yet"),
+        ({"as": "membrane"}, "expected one of solid, shell, rod, auto"),
+    ],
+)
+def test_what_is_no_solid_is_refused(tmp_path: Path, more: dict[str, object], message: str) -> None:
+    stored(tmp_path, cube())
+    with pytest.raises(CaptureError) as caught:
+        read_part(tmp_path, Entry({"name": "a", "mesh": "m.ply", **more}, "capture.json", "part"))
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_fine_mesh_that_goes_twice_round_its_volume_is_refused(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    # The same ball again, turned so that no triangle stands there twice, and sewn to it at one corner.
+    turned = trimesh.transformations.rotation_matrix(0.3, ball.vertices[0])
+    twice = trimesh.util.concatenate([ball, ball.copy().apply_transform(turned)])
+    twice.merge_vertices()
+    with pytest.raises(CaptureError, match="goes 2 times round its volume"):
+        read_mesh(stored(tmp_path, twice))
+    assert np.isclose(signed_volume(stored(tmp_path, ball)), 4 / 3 * np.pi, rtol=1e-2)

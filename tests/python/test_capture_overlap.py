@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from mphygs.capture.overlap import box_meets_solid, distance_to_box, triangles_in_box, winding_number
+from mphygs.capture.overlap import (
+    box_meets_solid,
+    distance_to_box,
+    just_inside,
+    triangles_in_box,
+    winding_number,
+)
 
 
 def test_winding_number_tells_inside_from_outside() -> None:
@@ -60,3 +66,19 @@ def test_distance_to_box() -> None:
     box = np.array([[0.0, 0, 0], [1, 1, 1]])
     points = np.array([[0.5, 0.5, 0.5], [2, 0.5, 0.5], [-3, -4, 0.5]])
     assert np.allclose(distance_to_box(points, box), [0, 1, 5])
+
+
+@pytest.mark.parametrize("kind", ["ball", "box", "ring"])
+def test_winding_number_of_many_triangles_is_that_of_all(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    mesh = {
+        "ball": lambda: trimesh.creation.icosphere(subdivisions=5),
+        "box": lambda: trimesh.creation.box().subdivide_to_size(0.03),
+        "ring": lambda: trimesh.creation.torus(1.0, 0.1, major_sections=160, minor_sections=40),
+    }[kind]()
+    vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
+    points = np.random.default_rng(0).uniform(-1.2, 1.2, (50, 3))
+    points = np.concatenate([points, just_inside(vertices, faces)])
+    quick = winding_number(points, vertices, faces)
+    monkeypatch.setattr("mphygs.capture.overlap._MANY", len(faces))
+    assert np.abs(winding_number(points, vertices, faces) - quick).max() < 0.03
+    assert len(faces) > 10_000 and (quick[50:] > 0.5).all() and (np.abs(quick - np.round(quick)) < 0.03).all()

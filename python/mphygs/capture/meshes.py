@@ -16,6 +16,9 @@ from mphygs.capture.mesh_files import mesh_content
 from mphygs.capture.overlap import just_inside, winding_number
 from mphygs.capture.written import replace_file
 
+# What a part may be simulated as, as files state it.
+_SHAPES = ("solid", "shell", "rod", "auto")
+_SOLID = 'a closed mesh of the whole part, "as": "solid" (or "auto", which is the same today)'
 _MOST_BODIES = 500
 _PROBED = 20  # corners of a body that are looked at
 # Of the whole volume, that bodies may share: where they are stuck into one another a little.
@@ -55,9 +58,13 @@ class Part:
 
 
 def read_part(folder: Path, entry: Entry) -> Part:
-    """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent)."""
-    entry.check_keys(required=("name", "mesh"), optional=("scale",))
+    """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent), `as`."""
+    entry.check_keys(required=("name", "mesh"), optional=("scale", "as", "thickness"))
     name = entry["name"].name()
+    if (shape := entry.get("as")) and shape.choice(_SHAPES) not in ("solid", "auto"):
+        raise shape.fault(f'a part as a "{shape.value}" is not simulated yet', _SOLID)
+    if thickness := entry.get("thickness"):
+        raise thickness.fault("a mesh that is a middle surface is not simulated yet", _SOLID)
     scale = 1.0
     if given := entry.get("scale"):
         scale = given.within(1e-12, 1e12, "a number above zero (file unit -> metre)")
@@ -144,14 +151,25 @@ def _is_closed(faces: np.ndarray) -> bool:
     Edges shared by four faces, as where two voxels touch along one, are allowed.
     """
     edges = _directed_edges(faces)
-    _, index = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-    return not np.bincount(index.reshape(-1), weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).any()
+    _, index = np.unique(_numbered(np.sort(edges, axis=1)), return_inverse=True)
+    return not np.bincount(index, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).any()
+
+
+def _numbered(edges: np.ndarray) -> np.ndarray:
+    """One number for each pair of (N, 2) numbers from 0 to below 2^31, the same for the same pair; (N,)."""
+    return edges[:, 0] << 31 | edges[:, 1]
+
+
+def _same_rows(rows: np.ndarray) -> np.ndarray:
+    """(N,) counted from 0, the same for rows (N, 3), below 2^31, that are the same."""
+    pairs = np.unique(_numbered(rows[:, :2]), return_inverse=True)[1]
+    return np.unique(_numbered(np.stack([pairs, rows[:, 2]], axis=1)), return_inverse=True)[1]
 
 
 def _wind(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The faces turned to one winding; CaptureError when the surface has a boundary."""
-    edges, count = np.unique(np.sort(_directed_edges(faces), axis=1), axis=0, return_counts=True)
-    open_edges = edges[count % 2 == 1]
+    numbers, count = np.unique(_numbered(np.sort(_directed_edges(faces), axis=1)), return_counts=True)
+    open_edges = np.stack([numbers >> 31, numbers & (1 << 31) - 1], axis=1)[count % 2 == 1]
     expected = "a closed surface, every edge shared by two faces"
     if len(open_edges):
         at = ", ".join(f"{x:.4g}" for x in vertices[open_edges[0]].mean(axis=0))
@@ -167,12 +185,11 @@ def _wind(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _check_twice(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     """Raises CaptureError where triangles stand there twice, wound alike: what they enclose counts twice."""
     step = 1e-6 * max(float(np.ptp(vertices, axis=0).max()), 1e-300)
-    _, place = np.unique(np.round((vertices - vertices.min(axis=0)) / step), axis=0, return_inverse=True)
-    corners = place.reshape(-1)[faces]
+    corners = _same_rows(np.round((vertices - vertices.min(axis=0)) / step).astype(np.int64))[faces]
     # the smallest corner first, the order kept: one that is wound the other way is another triangle
     first = np.argmin(corners, axis=1)
     turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
-    _, count = np.unique(turned, axis=0, return_counts=True)
+    count = np.bincount(_same_rows(turned))
     twice = int((count > 1).sum())
     if twice:
         what = f"{twice} of its {len(count)} triangles stand there twice"

@@ -5,26 +5,66 @@ from __future__ import annotations
 import numpy as np
 
 _CHUNK = 2_000_000  # point-triangle pairs held in memory at once
+# Triangles above which those far away are taken together, so many of them a group on average.
+_MANY, _TOGETHER = 5_000, 64
+# A group is far where it lies so many times its own radius away: its share is then right to a percent.
+_FAR = 3.0
 
 
 def winding_number(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """How often a closed surface goes round each point: 1 inside, 0 outside. Returns (N,).
 
     points: (N, 3) [m]; vertices: (V, 3) [m]; faces: (F, 3), outward. The sum of the solid angles of the
-    triangles over 4 pi (van Oosterom and Strackee 1983).
+    triangles over 4 pi (van Oosterom and Strackee 1983); of many triangles those far from a point by groups,
+    as dipoles (Barill et al., "Fast winding numbers for soups and clouds", 2018), to some hundredths.
     """
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    if len(faces) > _MANY:
+        return _winding_of_many(points, vertices[faces])
     winding = np.empty(len(points))
     step = max(1, _CHUNK // max(1, len(faces)))
     for start in range(0, len(points), step):
         corner = vertices[faces][None] - points[start : start + step, None, None]
-        a, b, c = corner[:, :, 0], corner[:, :, 1], corner[:, :, 2]
-        la, lb, lc = (np.linalg.norm(side, axis=-1) for side in (a, b, c))
-        volume = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
-        ab, bc, ca = (np.einsum("nfi,nfi->nf", p, q) for p, q in ((a, b), (b, c), (c, a)))
-        angle = 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
-        winding[start : start + step] = angle.sum(axis=1) / (4 * np.pi)
+        winding[start : start + step] = _solid_angles(corner).sum(axis=1) / (4 * np.pi)
     return winding
+
+
+def _solid_angles(corner: np.ndarray) -> np.ndarray:
+    """Of triangles (..., 3, 3) [m], seen from the origin [sr]."""
+    a, b, c = np.moveaxis(corner, -2, 0)
+    la, lb, lc = (np.linalg.norm(side, axis=-1) for side in (a, b, c))
+    volume = np.einsum("...i,...i->...", a, np.cross(b, c))
+    ab, bc, ca = (np.einsum("...i,...i->...", p, q) for p, q in ((a, b), (b, c), (c, a)))
+    return 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+
+
+def _winding_of_many(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """As `winding_number`, of triangles (F, 3, 3) [m] sorted into cubes."""
+    middle = triangles.mean(axis=1)
+    low = middle.min(axis=0)
+    # A surface fills about the square of as many cubes as there are along an edge.
+    count = max(1, round((len(triangles) / _TOGETHER) ** 0.5))
+    edge = max(float(np.ptp(middle, axis=0).max()) / count, 1e-300)
+    cube = np.minimum(((middle - low) / edge).astype(np.int64), count - 1) @ np.array([count**2, count, 1])
+    order = np.argsort(cube, kind="stable")
+    triangles, middle = triangles[order], middle[order]
+    begin = np.flatnonzero(np.diff(cube[order], prepend=-1))
+    size = np.diff(np.append(begin, len(order)))
+    area = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    weight = np.linalg.norm(area, axis=1) + 1e-300
+    centre = np.add.reduceat(weight[:, None] * middle, begin) / np.add.reduceat(weight, begin)[:, None]
+    dipole = np.add.reduceat(area, begin)
+    group = np.repeat(np.arange(len(begin)), size)
+    reach = ((triangles - centre[group, None]) ** 2).sum(axis=2).max(axis=1)
+    radius = np.sqrt(np.maximum.reduceat(reach, begin))
+    winding = np.empty(len(points))
+    for number, point in enumerate(points):
+        away = centre - point
+        distance = np.linalg.norm(away, axis=1)
+        far = distance > _FAR * radius
+        shares = np.einsum("gi,gi->g", away[far], dipole[far]) / distance[far] ** 3
+        winding[number] = shares.sum() + _solid_angles(triangles[~far[group]] - point).sum()
+    return winding / (4 * np.pi)
 
 
 def just_inside(vertices: np.ndarray, faces: np.ndarray, count: int = 40) -> np.ndarray:
