@@ -9,7 +9,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, grid_shift, in_words
+from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, grid_shift, in_words, stays
 from mphygs.compare.noise import NoiseModel, Observation
 from mphygs.fit.experiment import Experiment
 from mphygs.simulate.prediction import Settings
@@ -17,10 +17,12 @@ from mphygs.simulate.prediction import Settings
 SPACING, FRAMES, SPLIT = 0.01, 24, 12
 
 
-def assessed(fit: tuple[float, float], predict: tuple[float, float]) -> Assessment:
+def assessed(
+    fit: tuple[float, float], predict: tuple[float, float], *, staying: bool = False
+) -> Assessment:
     """Misfit beyond noise and the grid's share [sigma] of the fitted and of the unseen frames.
 
-    The two have nothing to do with each other but their size.
+    The two have nothing to do with each other but their size. staying: whether a finer grid left the misfit.
     """
     capture = bar_capture(frames=FRAMES, fps=100.0, fit=(0, SPLIT))
     truth = bar_belief(capture, youngs_modulus=6e4, free=())
@@ -38,6 +40,7 @@ def assessed(fit: tuple[float, float], predict: tuple[float, float]) -> Assessme
         refinement=size[:, 1] * signs[1],
         fit=(0, SPLIT),
         predict=(SPLIT, FRAMES),
+        stays=staying,
     )
     return experiment.assess({name: wrong})
 
@@ -72,6 +75,51 @@ def test_fitted_frames_do_not_pay_for_unseen_ones() -> None:
     # as a whole the grid's share covers the misfit
     assert np.hypot(1.0, found.budget["physics"] / found.budget["noise"]) < BUDGET_FLOOR
     assert not found.adequate
+
+
+def rated(fit: float, predict: float, count: int = 2000) -> Assessment:
+    """Misfits [sigma] of fitted and unseen frames."""
+    ratio, rows = {"a": {"fit": fit, "predict": predict}}, {"a": {"fit": count, "predict": count}}
+    return Assessment(False, 0.0, ratio, None, [], [], {}, rows=rows)
+
+
+@pytest.mark.parametrize(
+    ("coarse", "fine", "left"),
+    [
+        # a misfit that falls with the spacing, at first order or faster, is the grid's
+        ((1.30, 1.60), (1.19, 1.39), False),
+        ((1.30, 1.60), (1.10, 1.20), False),
+        # one that does not fall is physics, whether or not a finer grid finds more of it
+        ((1.30, 1.60), (1.29, 1.58), True),
+        ((1.30, 1.60), (1.35, 1.70), True),
+        # fitted frames at the noise: what unseen ones show may be the errors of the numbers
+        ((1.00, 1.60), (1.01, 1.60), False),
+        # the grid moves unseen frames, and has to be asked again
+        ((1.30, 1.60), (1.29, 1.40), False),
+        # no reason to doubt the physics
+        ((1.09, 1.08), (1.09, 1.08), False),
+    ],
+)
+def test_what_a_finer_grid_leaves_is_not_the_grids(
+    coarse: tuple[float, float], fine: tuple[float, float], left: bool
+) -> None:
+    assert stays(rated(*coarse), rated(*fine), 1.3) is left
+
+
+def test_few_rows_do_not_tell_physics_from_noise() -> None:
+    assert stays(rated(1.1, 1.6), rated(1.1, 1.6), 1.3)
+    assert not stays(rated(1.1, 1.6, 60), rated(1.1, 1.6, 60), 1.3)
+    # nor do many, where the noise's own scale was measured in a few frames
+    fine = replace(rated(1.1, 1.6), noise_degrees=40.0)
+    assert not stays(rated(1.1, 1.6), fine, 1.3)
+
+
+def test_no_share_of_the_grid_excuses_what_a_finer_one_leaves() -> None:
+    excused, refused = assessed((3.0, 3.3), (3.0, 3.3)), assessed((3.0, 3.3), (3.0, 3.3), staying=True)
+    assert excused.by == "grid" and refused.by is None
+    assert excused.budget["physics"] == 0.0 and refused.budget["discretisation"] == 0.0
+    assert refused.p_value < 1e-6 < excused.p_value
+    assert refused.rows == excused.rows and all(min(rows.values()) > 100 for rows in refused.rows.values())
 
 
 def test_shares_add_to_the_misfit_in_squares() -> None:

@@ -89,6 +89,36 @@ def test_a_fault_is_not_learned_as_noise(faults: tuple[str, ...]) -> None:
     np.testing.assert_allclose(noise.sigma, sigma, rtol=0.12)  # as seen in so few series
 
 
+@pytest.mark.parametrize(
+    ("lasting", "size"),
+    [
+        # half of the variance lasts from frame to frame: differences see little of that
+        (0.5, 1.0),
+        # white, and half of what is stated: there differences see all
+        (0.0, 0.5),
+    ],
+)
+def test_noise_that_lasts_is_not_taken_for_little(lasting: float, size: float) -> None:
+    capture = shaken_bar(FRAMES)
+    recording = capture.sequences[0]
+    random = np.random.default_rng(8)
+    held = random.uniform(size=(24, 3)) * [0.0, 0.015, 0.015]
+    recording = replace(recording, markers=replace(recording.markers, at=held))
+    predictor = Predictor(capture, recording, Settings(0.015, workers=1))
+    rotation, shift = recording.held[0].poses(np.arange(FRAMES) / FPS, FPS)
+    still = np.einsum("tij,mj->tmi", rotation, held) + shift[:, None]
+    drawn = random.standard_normal((2, FRAMES + 50, *held.shape))
+    slow = np.zeros_like(drawn[0])
+    for t in range(1, len(slow)):
+        slow[t] = 0.9 * slow[t - 1] + np.sqrt(1 - 0.9**2) * drawn[0, t]
+    sigma = recording.markers.sigma
+    noise = size * sigma * (np.sqrt(lasting) * slow[50:] + np.sqrt(1 - lasting) * drawn[1, 50:])
+    markers = replace(recording.markers, position=still + noise)
+    found = observe(replace(recording, markers=markers), predictor.attachment).noise
+    assert (found.correlation.order > 0) is (lasting > 0)
+    np.testing.assert_allclose(found.sigma, size * sigma, rtol=0.12)
+
+
 def test_points_at_rest_that_do_not_scatter_say_nothing_of_noise() -> None:
     still = np.ones((40, 5, 3))
     noise = noise_from_rest(still, 2e-4)

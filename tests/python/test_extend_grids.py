@@ -25,7 +25,7 @@ from mphygs.extend import finer, grids
 from mphygs.extend import met_again as meeting
 from mphygs.extend import probe as probing
 from mphygs.extend.step import Step
-from mphygs.extend.steps import step_at
+from mphygs.extend.steps import restored, state_of, step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import deciding_spacing, default_spacing, screening_spacing
@@ -198,6 +198,23 @@ def test_a_step_is_refitted_on_another_grid() -> None:
     assert after.assessment.worst < 1.2 < before.assessment.worst
     assert after.assessment.ratio == experiment.assess(experiment.compare(after.belief, FINE)).ratio
     assert "7.5 mm" in said[0] and "->" in said[-1]
+
+
+@pytest.mark.parametrize("hidden", [0.0, 60.0])
+def test_missing_physics_stays_on_a_finer_grid_and_the_grids_error_falls(hidden: float) -> None:
+    capture = bar_capture(frames=16, fps=100.0, fit=(0, 16))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=FREE)
+    told = truth.with_effect("mass_damping").with_parameter("mass_damping.alpha", value=hidden)
+    experiment = Experiment.of(recorded(capture, told, 0.6 * FINE), Settings(COARSE, workers=1))
+    coarse = grids.on_grid(experiment, step_at(experiment, truth, FINE), COARSE)
+    fine = grids.on_grid(experiment, coarse, FINE)
+    assert coarse.assessment.worst > 1.2 and not coarse.stays
+    assert fine.stays is (hidden > 0.0)
+    if hidden:
+        # No budget excuses it, now or when the loop is resumed.
+        known = grids.with_budget(experiment, fine)
+        assert known.stays and known.assessment.budget["discretisation"] == 0.0
+        assert restored(experiment, state_of(known), {"added": [], "ties": []}).stays
 
 
 @pytest.mark.parametrize(

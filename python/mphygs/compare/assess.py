@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,7 +12,7 @@ from scipy.stats import chi2
 from mphygs.compare.allowance import Allowance, modulated_directions
 from mphygs.compare.blocks import part_time_blocks
 from mphygs.compare.compared import Compared, Whitened, whiten_all
-from mphygs.compare.verdict_floor import Floor, floor_test
+from mphygs.compare.verdict_floor import Floor, above, floor_test
 
 # Two bodies discretised differently agree to a few tenths of a standard deviation at best: a misfit of
 # this many sigma, everywhere, is no reason to doubt the physics (spec: 1.1, of which noise is 1).
@@ -25,8 +26,12 @@ BUDGET_FLOOR, LARGEST_GRID_ERROR = 1.15, 5.0
 GIVES_WAY = 1.0
 # Of the test of the floor.
 LEVEL = 0.01
+# Order in the spacing of the least that a grid's error falls by, near enough.
+FIRST_ORDER = 1
 # Cosines over time by which the discretisation's error may differ from the change under refinement.
 MODULATIONS = 6
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +41,8 @@ class Assessment:
     shown it, of what that leaves, range by range; grid: that share,
     root mean square over all rows [sigma]; by: what the misfit is no more than, "noise" (and the grid, by the
     test of the floor), "grid" (as measured, range by range) or "tolerance", None where it is more; ratio:
-    sequence -> range -> root mean square over sigma of the whitened residual; budget: shares of the mean
+    sequence -> range -> root mean square over sigma of the whitened residual; rows: how many of these;
+    noise_degrees: of freedom behind the noise's scale, infinite where it is known; budget: shares of the mean
     square [m^2] as root mean squares [m]; where, when: as the command prints."""
 
     adequate: bool
@@ -48,11 +54,39 @@ class Assessment:
     budget: dict[str, float]
     grid: float = 0.0
     by: str | None = None
+    rows: dict[str, dict[str, int]] = field(default_factory=dict)
+    noise_degrees: float = np.inf
 
     @property
     def worst(self) -> float:
         """Largest ratio of any sequence and range."""
         return max(value for ranges in self.ratio.values() for value in ranges.values())
+
+    @property
+    def fitted(self) -> tuple[float, int]:
+        """Mean square of the whitened residual in all fitted frames, and its rows."""
+        count = sum(rows.get("fit", 0) for rows in self.rows.values())
+        total = sum(n["fit"] * self.ratio[k]["fit"] ** 2 for k, n in self.rows.items() if "fit" in n)
+        return (total / count if count else 1.0), count
+
+
+def stays(coarse: Assessment, fine: Assessment, ratio: float) -> bool:
+    """Whether what a model leaves is not the grid's: fitted anew on a finer grid it left as much.
+
+    coarse, fine: of the same model, fitted on either grid; ratio: of their spacings, above 1. An error of the
+    grid falls with the spacing, at first order at the least, and its square at second; physics that is
+    missing stays. Nearer to the one than to the other, in the fitted frames, where it has to be more than
+    noise, and in the worst range: frames that were not fitted show what the numbers' errors make of them as
+    well, which stays too.
+    """
+    falls_to = 0.5 * (1.0 + ratio ** (-2 * FIRST_ORDER))
+    (before, _), (after, count) = coarse.fitted, fine.fitted
+    if not count or above(after, count, fine.noise_degrees) > LEVEL or fine.worst <= PRACTICAL_FLOOR:
+        return False
+    return all(
+        new - 1.0 > falls_to * (old - 1.0)
+        for old, new in ((before, after), (coarse.worst**2, fine.worst**2))
+    )
 
 
 def in_words(adequate: bool, p_value: float) -> str:
@@ -66,11 +100,16 @@ def in_words(adequate: bool, p_value: float) -> str:
 
 def ratios(whitened: Whitened) -> dict[str, dict[str, float]]:
     """Root mean square of the whitened residual per sequence and range ("fit", "predict")."""
-    out: dict[str, dict[str, float]] = {}
+    return _of_ranges(whitened, lambda rows: float(np.sqrt(np.mean(rows**2))))
+
+
+def _of_ranges(whitened: Whitened, of: Callable[[np.ndarray], T]) -> dict[str, dict[str, T]]:
+    """What a function makes of the residual of every sequence and range that has any."""
+    out: dict[str, dict[str, T]] = {}
     for number, name in enumerate(whitened.names):
         mine = whitened.sequence == number
         out[name] = {
-            label: float(np.sqrt(np.mean(whitened.residual[mine & rows] ** 2)))
+            label: of(whitened.residual[mine & rows])
             for label, rows in (("fit", whitened.seen), ("predict", ~whitened.seen))
             if (mine & rows).any()
         }
@@ -110,7 +149,9 @@ def assess(
     whitened = whiten_all(compared)
     if not len(whitened.residual):
         raise ValueError("nothing was measured in the frames to compare")
-    allowance = discretisation_allowance(whitened)
+    # What a finer grid leaves as it is no grid excuses.
+    excusable = not any(item.stays for item in compared.values())
+    allowance = discretisation_allowance(whitened) if excusable else Allowance()
     # Parts of every sequence, and its instruments, are blocks of their own.
     sensors = max(len(item.sensors) for item in compared.values())
     own = np.where(whitened.part < 0, len(part_names) - 1 - whitened.part, whitened.part)
@@ -127,12 +168,12 @@ def assess(
     )
     found = ratios(whitened)
     worst = max(v for ranges in found.values() for v in ranges.values())
-    share = _grid_share(whitened)
+    share = _grid_share(whitened) if excusable else np.zeros_like(whitened.residual)
     budget = _budget(whitened, share)
     # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
     # range: fitted frames may not pay for what unseen ones show.
     beyond = [(whitened.residual[rows] ** 2 - share[rows] ** 2) for rows in _ranges(whitened)]
-    own = np.any(whitened.refinement) and worst < LARGEST_GRID_ERROR
+    own = excusable and np.any(whitened.refinement) and worst < LARGEST_GRID_ERROR
     own = own and max(map(np.mean, beyond)) <= BUDGET_FLOOR**2
     by = None
     if floor.reached and worst <= LARGEST_EXCUSED:
@@ -151,6 +192,8 @@ def assess(
         budget=budget,
         grid=float(np.sqrt(np.mean(share**2))),
         by=by,
+        rows=_of_ranges(whitened, len),
+        noise_degrees=degrees,
     )
 
 

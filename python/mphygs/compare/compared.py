@@ -18,7 +18,8 @@ class Compared:
     predicted: (T, M, 3) [m]; jacobian: (T, M, 3, P) by the free coordinates; part: (M,) of every marker;
     refinement: (T, M, 3) change of the prediction under refinement, extrapolated, or None;
     fit, predict: frame ranges; tangents_of: spacing of the grid that the Jacobian is of [m], None for the
-    prediction's; sensors: other instruments.
+    prediction's; sensors: other instruments; stays: whether a finer grid has been seen to leave the misfit as
+    it is, so that the refinement excuses nothing (see `mphygs.compare.assess.stays`).
     """
 
     observation: Observation
@@ -30,6 +31,7 @@ class Compared:
     refinement: np.ndarray | None = None
     tangents_of: float | None = None
     sensors: tuple[ComparedSensor, ...] = ()
+    stays: bool = False
 
     @property
     def frames(self) -> tuple[int, int]:

@@ -125,7 +125,7 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     louder = seen is not None and seen.value > stated and seen.differs(stated)
     if seen is not None and not (own_noise(position) > ALIKE * seen.value if louder else still):
         seen = None
-    sigma = sigma if seen is None else seen.value
+    before, sigma = sigma, sigma if seen is None else seen.value
     course = noise_course(position)
     if course is not None and rest is not None:
         rest = rest / course[: len(rest), None, None]
@@ -133,6 +133,10 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
         noise = NoiseModel.white(sigma, "stated sigma, taken as white")
     else:
         noise = noise_from_rest(rest, sigma, what=what)
+        if seen is not None and not louder and noise.correlation.order:
+            # The rest shows noise that lasts: of that, differences from frame to frame see a part.
+            seen, sigma = None, before
+            noise = noise_from_rest(rest, sigma, what=what)
         if noise.sigma.ndim and rest.shape[1] != position.shape[1]:
             # Learnt on some markers: all others get the typical one.
             noise = NoiseModel(

@@ -88,13 +88,13 @@ def floor_test(
         if mean <= 1e-6 * len(rows):
             continue
         ratios[b] = float(remaining[rows] @ remaining[rows]) / mean
-        p_values[b] = _above(ratios[b], 2.0 * mean**2 / variance, noise_degrees)
+        p_values[b] = above(ratios[b], 2.0 * mean**2 / variance, noise_degrees)
     adjusted = holm({str(b): float(p) for b, p in enumerate(p_values)})
     ratio = chi_square / degrees
     quantile = chi2.isf(level, degrees) / degrees
     if np.isfinite(noise_degrees):
         quantile = f.isf(level, degrees, noise_degrees)
-    p_value = _above(ratio, degrees, noise_degrees)
+    p_value = above(ratio, degrees, noise_degrees)
     return Floor(
         chi_square=chi_square,
         degrees=degrees,
@@ -108,8 +108,8 @@ def floor_test(
     )
 
 
-def _above(ratio: float, degrees: float, noise_degrees: float) -> float:
-    """P of a mean square this large or larger, the scale known or itself measured."""
+def above(ratio: float, degrees: float, noise_degrees: float) -> float:
+    """P of a mean square of noise this large or larger, its scale known, or measured by so many degrees."""
     if np.isfinite(noise_degrees):
         return float(f.sf(ratio, degrees, noise_degrees))
     return float(chi2.sf(ratio * degrees, degrees))

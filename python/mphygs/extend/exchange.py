@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mphygs.compare.assess import LARGEST_EXCUSED
 from mphygs.extend.ranked import ranked
 from mphygs.extend.refit import AT_FLOOR, Refit
 from mphygs.extend.refits import refits_of
@@ -39,10 +40,11 @@ def exchanged(
     """A further step, with another effect in the place of an earlier one; None where none does better.
 
     spacing: of the grid that models are tried on [m]; names: effects that may be added (None: all). Nothing
-    is asked of a model that is at the noise, or that does not explain the motion.
+    is asked of a model that is at the noise, or far from it.
     """
     current = steps[-1]
-    if not current.explained or current.assessment.worst <= AT_FLOOR:
+    near = current.explained or current.assessment.worst <= LARGEST_EXCUSED
+    if not near or current.assessment.worst <= AT_FLOOR:
         return None
     for name in dict.fromkeys(name for step in steps[:-1] for name in step.added):
         if name not in current.belief.effects or name in current.added:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR, PRACTICAL_FLOOR, Compared
-from mphygs.extend.step import Step, from_grid_to_grid, known_budget
+from mphygs.extend.step import Step, beside_coarser, from_grid_to_grid, known_budget, staying
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import borrowed, minimise, told, with_jacobian_of
 from mphygs.fit.problem import Evaluation, Problem
@@ -68,8 +68,7 @@ def lent(
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
-    assessment = experiment.assess(compared)
-    say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    compared, assessment = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
     changes = {"spacing": spacing, "lender": lender, "beside": None, "moved": moved}
     return step.refitted(solution, compared, assessment, **changes)
@@ -181,7 +180,8 @@ def compared_again(experiment: Experiment, step: Step, belief: Belief) -> dict[s
 
     Raises SimulationError.
     """
-    return compared_at(experiment, belief, step.spacing, refined=known_budget(step), beside=step.beside)
+    compared = compared_at(experiment, belief, step.spacing, refined=known_budget(step), beside=step.beside)
+    return staying(compared) if step.stays else compared
 
 
 def with_tangents(

@@ -20,7 +20,17 @@ from mphygs.extend.finer import (
 from mphygs.extend.met_again import met_again
 from mphygs.extend.refit import AT_FLOOR, NEAR_FLOOR
 from mphygs.extend.simplest import without_loads
-from mphygs.extend.step import EXPLAINED, LARGELY, Step, excess, from_grid_to_grid, known_budget, leaves_most
+from mphygs.extend.step import (
+    EXPLAINED,
+    LARGELY,
+    Step,
+    beside_coarser,
+    excess,
+    from_grid_to_grid,
+    known_budget,
+    leaves_most,
+    staying,
+)
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise, told
 from mphygs.fit.places import relocated
@@ -145,8 +155,7 @@ def on_grid(
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
-    assessment = experiment.assess(compared)
-    say(f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
+    compared, assessment = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
     rough = step.belief if spacing < step.spacing else None
     changes = {"spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough}
@@ -229,6 +238,7 @@ def complete(experiment: Experiment, step: Step, *, screening: bool = False) -> 
         compared = compared_again(experiment, step, step.belief)
     else:
         compared = compared_by(experiment, step.belief, step.spacing, step.lender)
+        compared = staying(compared) if step.stays else compared
     return replace(step, compared=compared, assessment=experiment.assess(compared))
 
 
@@ -306,6 +316,8 @@ def refined(
         after = finer(experiment, current, report)
         if after is not None and after.explained:
             return after
+        if after is not None and after.stays:
+            current = replace(current, compared=staying(current.compared))
     return with_budget(experiment, current, report)
 
 

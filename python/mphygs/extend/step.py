@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mphygs.compare.assess import Assessment, Compared
+from mphygs.compare.assess import Assessment, Compared, stays
 from mphygs.extend.refit import Refit
+from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.limits import Limits
 from mphygs.fit.uncertainty import grid_change
@@ -76,10 +77,39 @@ class Step:
         )
 
     @property
+    def stays(self) -> bool:
+        """Whether a finer grid has been seen to leave its misfit as it is."""
+        return any(item.stays for item in self.compared.values())
+
+    @property
     def explained(self) -> bool:
         """Whether the error is at its floor; without any effect added, whether the model needs none."""
         near = bool(self.added) and self.assessment.worst <= EXPLAINED
         return self.assessment.adequate or near or self.reconciled
+
+
+def staying(compared: Mapping[str, Compared]) -> dict[str, Compared]:
+    """A comparison of which a finer grid has been seen to leave the misfit as it is."""
+    return {name: replace(item, stays=True) for name, item in compared.items()}
+
+
+def beside_coarser(
+    experiment: Experiment,
+    step: Step,
+    compared: dict[str, Compared],
+    spacing: float,
+    say: Callable[[str], None],
+) -> tuple[dict[str, Compared], Assessment]:
+    """A step's model, fitted on a grid of another spacing [m] and compared there, and what that says: where a
+    finer one leaves as much, no grid excuses it (see `stays`)."""
+    assessment = experiment.assess(compared)
+    said = f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range"
+    if spacing < step.spacing and stays(step.assessment, assessment, step.spacing / spacing):
+        compared = staying(compared)
+        assessment = experiment.assess(compared)
+        said += ", which is not the grid's then"
+    say(said)
+    return compared, assessment
 
 
 def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, float]:

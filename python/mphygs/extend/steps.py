@@ -13,7 +13,7 @@ from mphygs.compare.assess import grid_shift
 from mphygs.compare.metrics import sensors_document
 from mphygs.extend.candidate_table import with_told
 from mphygs.extend.finer import compared_at, compared_by, evaluated
-from mphygs.extend.step import FAULT, Step, known_budget
+from mphygs.extend.step import FAULT, Step, known_budget, staying
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.determined import information_of
@@ -41,14 +41,17 @@ def step_at(
     lender: float | None = None,
     refined: bool = False,
     beside: float | None = None,
+    stays: bool = False,
 ) -> Step:
     """The step that ended at a belief. lender, beside: see `Step`; refined: whether the discretisation's
-    share was asked for (where Jacobians are lent it always is)."""
+    share was asked for (where Jacobians are lent it always is); stays: whether a finer grid was seen to leave
+    its misfit as it is."""
     evaluation = evaluated(experiment, belief, spacing, lender)
     if lender is None:
         compared = compared_at(experiment, belief, spacing, refined=refined, beside=beside)
     else:
         compared = compared_by(experiment, belief, spacing, lender)
+    compared = staying(compared) if stays else compared
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
     assessment = experiment.assess(compared)
     return Step(
@@ -71,6 +74,7 @@ def state_of(step: Step) -> dict[str, object]:
         "spacing": step.spacing,
         "lender": step.lender,
         "refined": known_budget(step),
+        "stays": step.stays,
         "beside": step.beside,
         "moved": dict(step.moved),
         "rough": step.rough and document_of_belief(step.rough),
@@ -97,6 +101,7 @@ def restored(
         lender=state["lender"],
         refined=state["refined"],
         beside=state["beside"],
+        stays=state.get("stays", False),
     )
     return replace(
         step,

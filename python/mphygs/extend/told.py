@@ -171,7 +171,8 @@ _STATE = record(
         "since": lambda entry: entry.within(0.0, 1.0, "a share"),
         "reconciled": Entry.flag,
         "warnings": many(sentence),
-    }
+    },
+    {"stays": Entry.flag},
 )
 _RANKING = record(
     {
