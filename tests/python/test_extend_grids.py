@@ -24,7 +24,7 @@ from mphygs.diagnose import grid_error
 from mphygs.extend import finer, grids
 from mphygs.extend import met_again as meeting
 from mphygs.extend import probe as probing
-from mphygs.extend.step import Step
+from mphygs.extend.step import Step, staying
 from mphygs.extend.steps import restored, state_of, step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
@@ -207,14 +207,18 @@ def test_missing_physics_stays_on_a_finer_grid_and_the_grids_error_falls(hidden:
     told = truth.with_effect("mass_damping").with_parameter("mass_damping.alpha", value=hidden)
     experiment = Experiment.of(recorded(capture, told, 0.6 * FINE), Settings(COARSE, workers=1))
     coarse = grids.on_grid(experiment, step_at(experiment, truth, FINE), COARSE)
-    fine = grids.on_grid(experiment, coarse, FINE)
-    assert coarse.assessment.worst > 1.2 and not coarse.stays
+    once = grids.on_grid(experiment, coarse, FINE)
+    assert coarse.assessment.worst > 1.2 and not coarse.persists
+    # Once may be a grid that is too coarse to converge; twice is none.
+    assert once.persists is (hidden > 0.0) and not once.stays
+    fine = finer.finer(experiment, once)
     assert fine.stays is (hidden > 0.0)
     if hidden:
         # No budget excuses it, now or when the loop is resumed.
-        known = grids.with_budget(experiment, fine)
+        known = grids.with_budget(experiment, replace(once, compared=staying(once.compared)))
         assert known.stays and known.assessment.budget["discretisation"] == 0.0
-        assert restored(experiment, state_of(known), {"added": [], "ties": []}).stays
+        kept = restored(experiment, state_of(known), {"added": [], "ties": []})
+        assert kept.stays and kept.persists
 
 
 @pytest.mark.parametrize(

@@ -68,9 +68,9 @@ def lent(
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
-    compared, assessment = beside_coarser(experiment, step, compared, spacing, say)
+    compared, assessment, persists = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
-    changes = {"spacing": spacing, "lender": lender, "beside": None, "moved": moved}
+    changes = {"spacing": spacing, "lender": lender, "beside": None, "moved": moved, "persists": persists}
     return step.refitted(solution, compared, assessment, **changes)
 
 

@@ -155,10 +155,13 @@ def on_grid(
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
-    compared, assessment = beside_coarser(experiment, step, compared, spacing, say)
+    compared, assessment, persists = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
     rough = step.belief if spacing < step.spacing else None
-    changes = {"spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough}
+    changes = {
+        "spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough,
+        "persists": persists,
+    }  # fmt: skip
     return step.refitted(solution, compared, assessment, **changes)
 
 

@@ -37,7 +37,8 @@ class Step:
     share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
     coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
     the model as it had been fitted on the coarser grid that it was brought from; halfway: of a first model,
-    as it had been fitted to half the frames on this grid; warnings: what was said on the way to it; limits:
+    as it had been fitted to half the frames on this grid; persists: whether its misfit did on the step from a
+    coarser grid to this one (see `beside_coarser`); warnings: what was said on the way to it; limits:
     how far its numbers can be moved, None where that was not asked (see `bounded`), and with it change: (N,)
     error of the grid in the measured rows, by a coarser one;
     table: the candidates of the round that led to it (see `candidate_rows`)."""
@@ -59,6 +60,7 @@ class Step:
     rough: Belief | None = None
     halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
+    persists: bool = False
     limits: Mapping[str, Limits] | None = None
     change: np.ndarray | None = None
     table: tuple[dict[str, object], ...] = ()
@@ -99,17 +101,22 @@ def beside_coarser(
     compared: dict[str, Compared],
     spacing: float,
     say: Callable[[str], None],
-) -> tuple[dict[str, Compared], Assessment]:
-    """A step's model, fitted on a grid of another spacing [m] and compared there, and what that says: where a
-    finer one leaves as much, no grid excuses it (see `stays`)."""
+) -> tuple[dict[str, Compared], Assessment, bool]:
+    """A step's model, fitted on a grid of another spacing [m] and compared there; what that says, and whether
+    it is finer and leaves as much (see `stays`).
+
+    No grid excuses what two finer ones in a row leave: on one step alone grids may both be too coarse to
+    converge, for a thin leaf, say.
+    """
     assessment = experiment.assess(compared)
     said = f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range"
-    if spacing < step.spacing and stays(step.assessment, assessment, step.spacing / spacing):
+    persists = spacing < step.spacing and stays(step.assessment, assessment, step.spacing / spacing)
+    if persists and step.persists:
         compared = staying(compared)
         assessment = experiment.assess(compared)
         said += ", which is not the grid's then"
     say(said)
-    return compared, assessment
+    return compared, assessment, persists
 
 
 def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, float]:

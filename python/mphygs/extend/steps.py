@@ -75,6 +75,7 @@ def state_of(step: Step) -> dict[str, object]:
         "lender": step.lender,
         "refined": known_budget(step),
         "stays": step.stays,
+        "persists": step.persists,
         "beside": step.beside,
         "moved": dict(step.moved),
         "rough": step.rough and document_of_belief(step.rough),
@@ -111,6 +112,7 @@ def restored(
         moved=state["moved"],
         rough=rough and belief_from_document(rough),
         warnings=tuple(state["warnings"]),
+        persists=state.get("persists", False),
         table=tuple(document.get("table", ())),
     )
 

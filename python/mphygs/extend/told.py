@@ -172,7 +172,7 @@ _STATE = record(
         "reconciled": Entry.flag,
         "warnings": many(sentence),
     },
-    {"stays": Entry.flag},
+    {"stays": Entry.flag, "persists": Entry.flag},
 )
 _RANKING = record(
     {
