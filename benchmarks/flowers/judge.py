@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.format import Capture, load_capture
+from mphygs.capture.stages import StageFolder
 from mphygs.fit.run import Run, load_run
-from mphygs.fit.stage_files import StageFolder, particles_of
+from mphygs.fit.stage_files import particles_of
 from mphygs.scene.particles import closest_material
 from mphygs.scene.soft_boundary import Particles
 

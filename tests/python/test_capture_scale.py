@@ -11,10 +11,10 @@ import pytest
 
 from command_example import answer, call
 from gaussian_example import gaussians
+from mphygs.capture.digest import digest_of
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture, save_capture
 from mphygs.capture.layouts import read_points
-from mphygs.capture.stages import views_digest
 from mphygs.capture.views import rest_views_of, sequence_views_of
 from mphygs.commands import doctor, init, reconstruct
 from mphygs.scene.gaussians import Gaussians
@@ -100,9 +100,8 @@ def test_a_scale_makes_metres_and_stays_with_the_capture(tmp_path: Path) -> None
 
 def test_what_was_made_in_another_unit_is_made_anew(tmp_path: Path) -> None:
     folder = rest_views(tmp_path)
-    digests = {
-        views_digest(load_capture(capture(folder, **keys))) for keys in ({}, {"scale": 2.0}, {"scale": 3.0})
-    }
+    loaded = [load_capture(capture(folder, **keys)) for keys in ({}, {"scale": 2.0}, {"scale": 3.0})]
+    digests = {digest_of(each.views, each.views_scale) for each in loaded}
     assert len(digests) == 3
 
 

@@ -92,7 +92,7 @@ def test_track(capture: Path, gaussians: Path, run: Path) -> None:
     assert np.sqrt(np.nanmean(error**2)) < 0.5 * PIXEL
     assert 0.4 < np.sqrt(np.nanmean((error / arrays["sigma"][:, None]) ** 2)) < 2.0
     assert cv2.imread(found["picture"]).std() > 5
-    assert not list(Path(found["file"]).parent.glob("p*.npz")), "nothing half made is left"
+    assert not (Path(found["file"]).parent / "begun").exists(), "nothing half made is left"
 
 
 def test_contact(capture: Path, gaussians: Path, run: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_run_that_is_interrupted_goes_on_with_the_same_numbers(
     for word in (str(capture), str(tmp_path), "--control-points 50", "--tracks 120", str(gaussians)):
         assert word in last
     folder = tmp_path / "stages" / "track" / "carried"
-    assert (folder / "partial.npz").is_file() and not (folder / "tracks.npz").exists()
+    assert (folder / "begun" / "tracks.npz").is_file() and not (folder / "tracks.npz").exists()
     seen: list[int] = []
 
     def watched(self: video_stages.VideoRun, views: object, frame: int) -> list:
@@ -316,7 +316,7 @@ def test_a_bad_picture_in_the_middle_loses_nothing(
     command = (folder, *options(gaussians, tmp_path / "run", "--tracks", 120))
     code, _, err = call(track.main, *command)
     assert code == 2 and "camera1_006.png" in err.strip().splitlines()[-1]
-    partial = tmp_path / "run" / "stages" / "track" / "carried" / "partial.npz"
+    partial = tmp_path / "run" / "stages" / "track" / "carried" / "begun" / "tracks.npz"
     with np.load(partial) as kept:
         assert len(kept["position"]) == 5
 

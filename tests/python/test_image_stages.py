@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from mphygs.capture.format import Markers
-from mphygs.capture.stages import STAGES
+from mphygs.capture.stages import STAGES, StageFolder
 from mphygs.commands.console import Console
 from mphygs.commands.image_stages import StageError, has_stages, kept_seconds, missing_stages, run_stages
-from mphygs.fit.stage_files import StageFolder
 from test_image_capture import recorded
 
 

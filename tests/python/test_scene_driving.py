@@ -9,8 +9,12 @@ import torch
 from gaussian_example import gaussians
 from mphygs.capture.rotation import matrix_from_rotation_vector, quaternion_from_matrix
 from mphygs.scene.driving import bind, driven
-from mphygs.scene.gaussians import rotation_matrices
-from mphygs.scene.polar import polar_rotation, quaternion_product, quaternions_of_rotations
+from mphygs.scene.rotation import (
+    polar_rotation,
+    quaternion_product,
+    quaternions_of_rotations,
+    rotation_matrices,
+)
 
 
 def turns(count: int, seed: int = 0, size: float = 2.0) -> torch.Tensor:

@@ -91,11 +91,17 @@ def read_hold(folder: Path, entry: Entry, frames: int) -> Hold:
     path = file_inside(folder, entry["motion"])
     every = Size.frames(frames)
     arrays = read_arrays(path, {"position": (every, 3), "quaternion": (every, 4)})
-    for name, array in arrays.items():
+    return Hold(box, *checked_poses(path, **arrays))
+
+
+def checked_poses(
+    path: Path, position: np.ndarray, quaternion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position (T, 3) [m] and quaternion (T, 4) of a file, of unit length. Raises CaptureError."""
+    for name, array in (("position", position), ("quaternion", quaternion)):
         if np.isnan(array).any():
             frame = int(np.argwhere(np.isnan(array))[0, 0])
             raise fault(f"{path}: {name}", f"is NaN in frame {frame}", "the motion of a hold in every frame")
-    quaternion = arrays["quaternion"]
     length = np.linalg.norm(quaternion, axis=1)
     worst = int(np.argmax(np.abs(length - 1)))
     if abs(length[worst] - 1) > 1e-3:
@@ -113,7 +119,7 @@ def read_hold(folder: Path, entry: Entry, frames: int) -> Hold:
     # those already of unit length keep their bits, so that a capture read and written is the same
     off = np.abs(length - 1) > 4e-16
     quaternion[off] /= length[off, None]
-    return Hold(box=box, position=arrays["position"], quaternion=quaternion)
+    return position, quaternion
 
 
 def read_load(entry: Entry, frames: int) -> Load:

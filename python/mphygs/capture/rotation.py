@@ -1,4 +1,7 @@
-"""Rotations: the one place where quaternions (w, x, y, z), matrices and rotation vectors are converted."""
+"""Rotations: the one place where quaternions (w, x, y, z), matrices and rotation vectors are converted.
+
+Those that are differentiated in torch: scene/rotation.py.
+"""
 
 from __future__ import annotations
 
@@ -69,6 +72,13 @@ def matrix_from_rotation_vector(rotation_vector: np.ndarray) -> np.ndarray:
 def rotation_vector_from_matrix(matrix: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3)."""
     return rotation_vector_from_quaternion(quaternion_from_matrix(matrix))
+
+
+def quaternion_by_turn(quaternion: np.ndarray) -> np.ndarray:
+    """Derivative (T, 4, 3) of quaternions (T, 4) by a small turn after them, in world axes."""
+    w, x, y, z = quaternion.T
+    rows = ([-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w])
+    return 0.5 * np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def sign_continuous(quaternion: np.ndarray) -> np.ndarray:

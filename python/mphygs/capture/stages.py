@@ -2,19 +2,65 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
+import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from mphygs.capture.digest import digest_of
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.json_values import plain
-from mphygs.capture.record import Capture
-from mphygs.capture.written import replace_file
+from mphygs.capture.written import replace_arrays, replace_file
 
 NOTE = "made.json"
 STAGES = "stages"
+
+
+@dataclass(frozen=True)
+class StageFolder:
+    """Where the stages of one image capture stand, and what they hand on."""
+
+    folder: Path
+
+    @classmethod
+    def of(cls, run: Path) -> StageFolder:
+        """The one in the run folder `run`."""
+        return cls(run / STAGES)
+
+    @property
+    def gaussians(self) -> Path:
+        """The object at rest as Gaussians."""
+        return self.folder / "rest" / "gaussians.ply"
+
+    @property
+    def features(self) -> Path:
+        """What the Gaussians look like beyond colour."""
+        return self.folder / "features" / "features.npz"
+
+    @property
+    def particles(self) -> Path:
+        """The object's volume as particles."""
+        return self.folder / "object" / "particles.npz"
+
+    @property
+    def parts(self) -> Path:
+        """Folder of the segments' meshes."""
+        return self.folder / "object" / "parts"
+
+    def pose(self, sequence: str) -> Path:
+        """Where a sequence begins."""
+        return self.folder / "register" / sequence / "pose.npz"
+
+    def tracks(self, sequence: str) -> Path:
+        """Points followed through a sequence."""
+        return self.folder / "track" / sequence / "tracks.npz"
+
+    def hold(self, sequence: str) -> Path:
+        """What moves the object in a sequence."""
+        return self.folder / "contact" / sequence / "hold.npz"
 
 
 @dataclass(frozen=True)
@@ -27,9 +73,18 @@ class Stage:
     made_of: Mapping[str, object]
 
     @classmethod
-    def of(cls, run: Path, name: str, files: tuple[str, ...], made_of: Mapping[str, object]) -> Stage:
-        """The stage `name` in the run folder `run`."""
-        return cls(run / STAGES / name, files, plain(dict(made_of)))
+    def of(cls, path: Path, made_of: Mapping[str, object], *more: str) -> Stage:
+        """The stage whose file stands at `path`; more: of its files, by name or pattern."""
+        return cls(path.parent, (path.name, *more), plain(dict(made_of)))
+
+    def also(self, **made_of: object) -> Stage:
+        """The stage made of something more."""
+        return replace(self, made_of={**self.made_of, **plain(made_of)})
+
+    @property
+    def begun(self) -> Stage:
+        """What a stage of one file has kept of its work so far."""
+        return replace(self, folder=self.folder / "begun")
 
     def path(self, name: str) -> Path:
         """A file of the stage."""
@@ -79,6 +134,20 @@ class Stage:
         for path in self.present().values():
             path.unlink()
 
+    def write(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """All of a stage whose one file is an .npz.
+
+        Broken off at any moment, nothing of another make is left that passes for this or for a user's own.
+        """
+        if not self.complete(*self.made_of):
+            self.begin()
+        replace_arrays(self.path(*self.files), arrays)
+        self.finish()
+
+    def forget(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
     def finish(self) -> None:
         """Note what the files were made of, once all are written."""
         digests = {name: digest_of(path) for name, path in self.present().items()}
@@ -96,38 +165,3 @@ class Stage:
         except ValueError:
             return None
         return note if isinstance(note, dict) else None
-
-
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def folder_digest(folder: Path) -> str:
-    """SHA-256 of names and sizes of all files in a folder, and of the content of its .json and text files.
-
-    Pictures are told by name, size and time of change: reading all of them takes longer than most stages.
-    """
-    found = hashlib.sha256()
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        stat = path.stat()
-        found.update(f"{path.relative_to(folder)} {stat.st_size}".encode())
-        if path.suffix in (".json", ".txt"):
-            found.update(path.read_bytes())
-        else:
-            found.update(str(stat.st_mtime_ns).encode())
-    return found.hexdigest()
-
-
-def views_digest(capture: Capture) -> str:
-    """The same for the rest views of a capture, in metres."""
-    return _in_metres(folder_digest(capture.views), capture.views_scale)
-
-
-def gaussians_digest(capture: Capture) -> str:
-    """The same for the Gaussians of a capture, in metres."""
-    return _in_metres(digest_of(capture.gaussians), capture.gaussians_scale)
-
-
-def _in_metres(digest: str, scale: float) -> str:
-    return digest if scale == 1.0 else f"{digest} x {scale!r}"

@@ -14,8 +14,7 @@ from mphygs.commands.options import OptionError
 from mphygs.commands.video_options import PICTURE, TracksOptions
 from mphygs.motion.contact import coarse_contact
 from mphygs.motion.pictures import write_contact_picture
-from mphygs.motion.stage_files import STAGES
-from mphygs.motion.video_stages import HOLD, contact_stage
+from mphygs.motion.video_stages import contact_stage
 
 PROGRAM = "mphygs contact"
 _FROM = {
@@ -65,17 +64,18 @@ def contact_command(options: ContactOptions, console: Console) -> Answer:
             estimate=options.estimate,
             report=report,
         )
-        folder = options.out / STAGES / "contact" / recording.name
+        file = video_run.files.hold(recording.name)
+        picture = file.with_name(PICTURE)
         views = video_run.views(recording)
         coarse = None
         if views.contact:
             cameras = {name: views.views[name, 0].camera for name in views.cameras}
             coarse = coarse_contact(cameras, views.contact, recording.frames)
         at = grip.motion.at if grip is not None else None
-        write_contact_picture(folder / PICTURE, hold, recording.fps, at, coarse if at is not None else None)
+        write_contact_picture(picture, hold, recording.fps, at, coarse if at is not None else None)
         document: dict[str, object] = {
-            "file": str(folder / HOLD),
-            "picture": str(folder / PICTURE),
+            "file": str(file),
+            "picture": str(picture),
             "from": source,
             "box": hold.box.tolist(),
         }

@@ -11,12 +11,11 @@ from pathlib import Path
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
-from mphygs.capture.stages import NOTE, STAGES
+from mphygs.capture.stages import STAGES, Stage, StageFolder
 from mphygs.capture.written import replace_file
 from mphygs.commands.command import DONE, INTERRUPTED
 from mphygs.commands.console import Console
 from mphygs.fit.image_capture import is_pictured
-from mphygs.fit.stage_files import StageFolder
 
 SECONDS = "seconds.json"
 
@@ -26,13 +25,18 @@ class StageError(ValueError):
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One stage to run. command: its module; arguments: beyond capture and folder; file: what it leaves."""
+class Making:
+    """What makes a stage. command: its module; arguments: beyond capture and folder; file: that it leaves."""
 
     name: str
     command: str
     arguments: tuple[str, ...]
     file: Path
+
+    @property
+    def done(self) -> bool:
+        """Whether the file is there and was not left half made."""
+        return Stage.of(self.file, {}).complete()
 
 
 def has_stages(capture: Capture) -> bool:
@@ -40,38 +44,27 @@ def has_stages(capture: Capture) -> bool:
     return is_pictured(capture) or any(_tracked(r) for r in capture.sequences)
 
 
-def missing_stages(capture: Capture, folder: Path) -> list[Stage]:
+def missing_stages(capture: Capture, folder: Path) -> list[Making]:
     """The stages whose files are not in the folder, in the order in which they are to be run."""
     files = StageFolder(folder)
     found = []
     if is_pictured(capture):
         if capture.gaussians is None:
-            found.append(Stage("reconstruct", "reconstruct", (), files.gaussians))
-        found.append(Stage("segment", "segment", (), files.particles))
+            found.append(Making("reconstruct", "reconstruct", (), files.gaussians))
+        found.append(Making("segment", "segment", (), files.particles))
     for recording in capture.sequences:
         if not _tracked(recording):
             continue
         name = recording.name
         own = ("--sequences", name)
-        found.append(Stage(f"track {name}", "track", own, files.tracks(name)))
+        found.append(Making(f"track {name}", "track", own, files.tracks(name)))
         if not recording.held:
-            found.append(Stage(f"contact {name}", "contact", own, files.hold(name)))
+            found.append(Making(f"contact {name}", "contact", own, files.hold(name)))
         if not files.tracks(name).exists():
             found.insert(
-                -1 if recording.held else -2, Stage(f"register {name}", "register", own, files.pose(name))
+                -1 if recording.held else -2, Making(f"register {name}", "register", own, files.pose(name))
             )
-    return [stage for stage in found if not _done(stage)]
-
-
-def _done(stage: Stage) -> bool:
-    """Whether a stage's file is there and was not left half made."""
-    note = stage.file.parent / NOTE
-    if not stage.file.is_file():
-        return False
-    try:
-        return not (note.is_file() and json.loads(note.read_text(encoding="utf-8")).get("unfinished"))
-    except (ValueError, AttributeError):
-        return True
+    return [making for making in found if not making.done]
 
 
 def _tracked(recording: Recording) -> bool:
@@ -89,7 +82,7 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
     seconds = kept_seconds(folder)
     stages = missing_stages(capture, folder)
     for number, stage in enumerate(stages):
-        if _done(stage):
+        if stage.done:
             continue
         console.say(f"stage {number + 1} of {len(stages)}: {stage.name}")
         began = time.monotonic()
@@ -118,6 +111,6 @@ def kept_seconds(folder: Path) -> dict[str, float]:
         return {}
 
 
-def names_of(stages: Sequence[Stage]) -> str:
+def names_of(stages: Sequence[Making]) -> str:
     """The stages in words."""
     return ", ".join(stage.name for stage in stages)

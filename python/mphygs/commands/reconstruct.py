@@ -12,11 +12,12 @@ import torch
 import tyro
 
 from mphygs.capture.colmap import ColmapPoints
+from mphygs.capture.digest import digest_of
 from mphygs.capture.errors import fault
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.layouts import read_points
-from mphygs.capture.stages import Stage, gaussians_digest, views_digest
+from mphygs.capture.stages import Stage, StageFolder
 from mphygs.capture.views import Photograph, RestViews, rest_views_of, sequence_views_of
 from mphygs.commands.claim import claim
 from mphygs.commands.command import Answer, run
@@ -32,7 +33,7 @@ from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.ply import read_gaussians, write_gaussians
 
 PROGRAM = "mphygs reconstruct"
-STAGE, FILES, PICTURE = "rest", ("gaussians.ply",), "picture.png"
+PICTURE = "picture.png"
 _SHOWN = 4  # views on the picture
 
 
@@ -73,7 +74,7 @@ def reconstruct_command(options: ReconstructOptions, console: Console) -> Answer
         "gaussians": gaussians.count,
         "seconds": console.seconds,
     }
-    lines = [f"{gaussians.count} Gaussians in {stage.path(FILES[0])} ({_of(state)})"]
+    lines = [f"{gaussians.count} Gaussians in {StageFolder.of(options.out).gaussians} ({_of(state)})"]
     if capture.views is not None:
         photographs = shrunk(rest_views_of(capture).read(), options.longest)
         metrics = {p.camera.name: image_metrics(splat(gaussians, p.camera), p) for p in photographs}
@@ -109,14 +110,18 @@ def rest_stage(
             f"{options.longest}; expected at least 1, 100 and 16"
         )
     names = ("iterations", "most_gaussians", "longest", "seed")
-    source = gaussians_digest(capture) if capture.views is None else views_digest(capture)
+    if capture.views is None:
+        source = digest_of(capture.gaussians, capture.gaussians_scale)
+    else:
+        source = digest_of(capture.views, capture.views_scale)
     made_of = {name: getattr(options, name) for name in names} | {"source": source}
-    stage = Stage.of(options.out, STAGE, FILES, made_of)
+    path = StageFolder.of(options.out).gaussians
+    stage = Stage.of(path, made_of)
     state = stage.state()
     if state == "missing" and any_options and stage.complete("source"):
         state = "made"
     if state != "missing":
-        return stage, state, read_gaussians(stage.path(FILES[0]))
+        return stage, state, read_gaussians(path)
     if capture.views is None:
         gaussians = read_gaussians(capture.gaussians, capture.gaussians_scale)
     else:
@@ -125,7 +130,7 @@ def rest_stage(
         points = read_points(capture.views, capture.views_scale)
         gaussians = _reconstructed(photographs, points, options, console)
     stage.begin()
-    write_gaussians(stage.path(FILES[0]), gaussians)
+    write_gaussians(path, gaussians)
     stage.finish()
     return stage, "new", gaussians
 

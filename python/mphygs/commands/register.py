@@ -14,8 +14,8 @@ from mphygs.commands.console import Console
 from mphygs.commands.video_options import PICTURE, VideoOptions
 from mphygs.motion.pictures import write_register_picture
 from mphygs.motion.rigid import RigidMotion
-from mphygs.motion.stage_files import STAGES, Registered
-from mphygs.motion.video_stages import POSE, register_stage
+from mphygs.motion.stage_files import Registered
+from mphygs.motion.video_stages import register_stage
 
 PROGRAM = "mphygs register"
 
@@ -40,15 +40,16 @@ def register_command(options: RegisterOptions, console: Console) -> Answer:
     for number, recording in enumerate(recordings):
         console.progress(number / len(recordings), f"registering {recording.name}")
         registered, found = register_stage(video_run, recording, rule=options.rule())
-        folder = options.out / STAGES / "register" / recording.name
+        file = video_run.files.pose(recording.name)
+        picture = file.with_name(PICTURE)
         photographs = video_run.read(video_run.views(recording), 0)
         positions = torch.as_tensor(registered.refined, dtype=torch.float32)
         moved = RigidMotion(registered.rotation, registered.position).of_gaussians(video_run.gaussians)
         write_register_picture(
-            folder / PICTURE, photographs, video_run.gaussians, replace(moved, positions=positions)
+            picture, photographs, video_run.gaussians, replace(moved, positions=positions)
         )
         document = _document(registered, video_run.gaussians.positions.numpy())
-        document |= {"file": str(folder / POSE), "picture": str(folder / PICTURE)}
+        document |= {"file": str(file), "picture": str(picture)}
         if found is not None:
             document |= {
                 "by": found.by,

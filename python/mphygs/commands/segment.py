@@ -11,12 +11,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from mphygs.capture.digest import digest_of
 from mphygs.capture.extractors import Extractor, extractor_of, feature_names
 from mphygs.capture.format import Capture, Part, load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.mask_groups import MaskGrouper, Superpixels
 from mphygs.capture.mask_groups_sam import SamGroups
-from mphygs.capture.stages import Stage, digest_of, views_digest
+from mphygs.capture.stages import Stage, StageFolder
 from mphygs.capture.views import Photograph, rest_views_of
 from mphygs.commands.claim import claim
 from mphygs.commands.command import Answer, run
@@ -29,9 +30,6 @@ from mphygs.render.looking_round import pictures_all_round
 from mphygs.render.object_picture import object_picture
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.object_files import (
-    FEATURES,
-    PARTICLES,
-    PARTS,
     GaussianFeatures,
     read_features,
     read_particles,
@@ -90,13 +88,13 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
     capture = load_capture(options.capture)
     claim(options.out)
     rest = ReconstructOptions(capture=options.capture, out=options.out, longest=options.longest)
-    rest_folder, _, gaussians = rest_stage(capture, rest, console, any_options=True)
+    _, _, gaussians = rest_stage(capture, rest, console, any_options=True)
     photographs = _photographs(capture, gaussians, options)
-    views = None if capture.views is None else views_digest(capture)
+    views = None if capture.views is None else digest_of(capture.views, capture.views_scale)
     console.begin()
-    first, features = features_stage(options, tools, rest_folder, views, gaussians, photographs, console)
+    first, features = features_stage(options, tools, views, gaussians, photographs, console)
     second, particles, parts = object_stage(
-        options, settings, (rest_folder, first), views, gaussians, features, photographs, console
+        options, settings, views, gaussians, features, photographs, console
     )
     picture = second.folder / PICTURE
     write_image(picture, object_picture(gaussians, features, particles, photographs))
@@ -133,7 +131,6 @@ def segment(options: SegmentOptions, console: Console) -> Answer:
 def features_stage(
     options: SegmentOptions,
     tools: Tools | None,
-    rest: Stage,
     views: str | None,
     gaussians: Gaussians,
     photographs: Sequence[Photograph],
@@ -143,12 +140,13 @@ def features_stage(
 
     tools: loaded here where None; views: digest of the photographs' folder.
     """
+    files = StageFolder.of(options.out)
     names = ("features", "masks", "longest", "seed")
     made_of = {name: getattr(options, name) for name in names} | {
-        "gaussians": _digest(rest, "gaussians.ply"),
+        "gaussians": digest_of(files.gaussians),
         "views": views,
     }
-    stage = Stage.of(options.out, "features", (FEATURES,), made_of)
+    stage = Stage.of(files.features, made_of)
     if stage.state() == "missing":
         extractor, grouper = tools or (extractor_of(options.features), grouper_of(options.masks))
         features = gaussian_features(
@@ -161,15 +159,14 @@ def features_stage(
             report=_report(console, 0.0, _FEATURES_SHARE),
         )
         stage.begin()
-        write_features(stage.path(FEATURES), features)
+        write_features(files.features, features)
         stage.finish()
-    return stage, read_features(stage.path(FEATURES), gaussians.count)
+    return stage, read_features(files.features, gaussians.count)
 
 
 def object_stage(
     options: SegmentOptions,
     settings: ObjectSettings,
-    before: tuple[Stage, Stage],
     views: str | None,
     gaussians: Gaussians,
     features: GaussianFeatures,
@@ -177,13 +174,14 @@ def object_stage(
     console: Console,
 ) -> tuple[Stage, Particles, list[Part]]:
     """The stage, its particles and its parts, made unless they are there."""
+    files = StageFolder.of(options.out)
     names = ("particles", "segments", "alike", "longest", "seed")
     made_of = {name: getattr(options, name) for name in names} | {
-        "gaussians": _digest(before[0], "gaussians.ply"),
-        "features": _digest(before[1], FEATURES),
+        "gaussians": digest_of(files.gaussians),
+        "features": digest_of(files.features),
         "views": views,
     }
-    stage = Stage.of(options.out, "object", (PARTICLES, f"{PARTS}/*.ply"), made_of)
+    stage = Stage.of(files.particles, made_of, f"{files.parts.name}/*.ply")
     if stage.state() == "missing":
         # nothing before: the features were there already
         start = _FEATURES_SHARE if console.seconds > 1.0 else 0.0
@@ -195,14 +193,14 @@ def object_stage(
             report=_report(console, start, 1.0),
         )
         stage.begin()
-        write_particles(stage.path(PARTICLES), found.particles)
-        write_parts(stage.path(PARTS), list(found.parts))
+        write_particles(files.particles, found.particles)
+        write_parts(files.parts, list(found.parts))
         stage.finish()
-    particles, parts = read_particles(stage.path(PARTICLES)), read_parts(stage.path(PARTS))
+    particles, parts = read_particles(files.particles), read_parts(files.parts)
     if len(parts) != particles.segment_count:
         raise OptionError(
-            f"{stage.folder}: has {len(parts)} meshes in {PARTS} and {particles.segment_count} segments in "
-            f"{PARTICLES}; expected one mesh a segment"
+            f"{stage.folder}: has {len(parts)} meshes in {files.parts.name} and {particles.segment_count} "
+            f"segments in {files.particles.name}; expected one mesh a segment"
         )
     return stage, particles, parts
 
@@ -231,7 +229,7 @@ def _tools(options: SegmentOptions) -> Tools | None:
     except ValueError as error:
         raise OptionError(f"--features: {error}") from error
     _mask_folder(options.masks)
-    if Stage.of(options.out, "features", (FEATURES,), {}).complete():
+    if Stage.of(StageFolder.of(options.out).features, {}).complete():
         return None
     return extractor_of(options.features), grouper_of(options.masks)
 
@@ -252,10 +250,6 @@ def _photographs(capture: Capture, gaussians: Gaussians, options: SegmentOptions
     if capture.views is None:
         return pictures_all_round(gaussians, size=min(options.longest, _SIZE_ROUND))
     return shrunk(rest_views_of(capture).read(), options.longest)
-
-
-def _digest(stage: Stage, name: str) -> str:
-    return digest_of(stage.path(name))
 
 
 def _report(console: Console, start: float, end: float) -> Callable[[float, str], None]:

@@ -11,8 +11,7 @@ from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.video_options import PICTURE, TracksOptions
 from mphygs.motion.pictures import frames_shown, write_track_picture
-from mphygs.motion.stage_files import STAGES
-from mphygs.motion.video_stages import TRACKS, track_stage
+from mphygs.motion.video_stages import track_stage
 
 PROGRAM = "mphygs track"
 
@@ -43,14 +42,15 @@ def track_command(options: TrackOptions, console: Console) -> Answer:
         tracks, followed = track_stage(
             video_run, recording, rule=options.rule(), count=count, report=report
         )
-        folder = options.out / STAGES / "track" / recording.name
+        file = video_run.files.tracks(recording.name)
+        picture = file.with_name(PICTURE)
         views = video_run.views(recording)
         shown = {frame: video_run.read(views, frame) for frame in frames_shown(recording.frames)}
-        write_track_picture(folder / PICTURE, shown, tracks)
+        write_track_picture(picture, shown, tracks)
         seen = np.isfinite(tracks.position).all(axis=2)
         document = {
-            "file": str(folder / TRACKS),
-            "picture": str(folder / PICTURE),
+            "file": str(file),
+            "picture": str(picture),
             "tracks": len(tracks.rest),
             "frames": recording.frames,
             "seen": float(seen.mean()),

@@ -12,9 +12,9 @@ import tyro
 from mphygs.capture.format import load_capture
 from mphygs.capture.layouts import SCALES
 from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.stages import StageFolder
 from mphygs.commands.claim import claim
 from mphygs.commands.options import CommonOptions, OptionError, names
-from mphygs.motion.stage_files import GAUSSIANS
 from mphygs.motion.tracking import TrackingRule
 from mphygs.motion.video_stages import VideoRun
 
@@ -59,7 +59,7 @@ class VideoOptions(CommonOptions):
             raise OptionError(f"--longest: got {self.longest}; expected at least 16")
         scale = 1.0 if self.scale is None else self.scale
         capture = load_capture(self.capture)
-        file = self.gaussians or self.out / GAUSSIANS
+        file = self.gaussians or StageFolder.of(self.out).gaussians
         if self.gaussians is None and not file.is_file() and capture.gaussians is not None:
             file, scale = capture.gaussians, capture.gaussians_scale
         if not file.is_file():

@@ -21,8 +21,10 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_matrix
+from mphygs.capture.stages import StageFolder
 from mphygs.fit.boundary_share import found_boundary
-from mphygs.fit.stage_files import StageFolder, Tracks, particles_of, read_motion, read_tracks
+from mphygs.fit.stage_files import particles_of
+from mphygs.motion.stage_files import Tracks, read_hold, read_tracks
 from mphygs.scene.object_files import read_parts
 
 TRACK_COUNT = 250
@@ -114,8 +116,7 @@ def _held(recording: Recording, files: StageFolder) -> tuple[Hold, ...]:
     path = files.hold(recording.name)
     if recording.held or not path.is_file():
         return recording.held
-    box, position, quaternion = read_motion(path, frames=recording.frames)
-    return (Hold(box, position, quaternion),)
+    return (read_hold(path, frames=recording.frames),)
 
 
 def _acting_from_frame(actuator: Actuator, placement: Placement) -> Actuator:

@@ -18,12 +18,13 @@ from mphygs.capture.features import Reduction
 from mphygs.capture.format import Capture
 from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence as Recording
+from mphygs.capture.stages import StageFolder
 from mphygs.capture.views import Photograph, SequenceViews, rest_views_of, sequence_views_of
 from mphygs.compare.drawn import Drawn
 from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import Placement, placement_of
-from mphygs.fit.stage_files import StageFolder, particles_of
+from mphygs.fit.stage_files import particles_of
 from mphygs.model.belief import Belief
 from mphygs.render.image_metrics import ImageMetrics
 from mphygs.render.splatting import splat

@@ -22,10 +22,12 @@ from mphygs.capture.errors import fault
 from mphygs.capture.rotation import (
     align_rigid,
     matrix_from_quaternion,
+    quaternion_by_turn,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,
     sign_continuous,
 )
+from mphygs.motion.stiffness import turn_and_shift
 from mphygs.scene.agreement import triangulate
 
 LEAST_TRACKS = 6
@@ -144,9 +146,7 @@ def _normal_equations(
     residual = place[:, None] + turned - tracks
     weight = weights.tracks * share
     cost = 0.5 * float((weight * (residual**2).sum(axis=2)).sum())
-    jacobian = np.zeros((*turned.shape, 6))
-    jacobian[..., :3] = -_cross(turned)
-    jacobian[..., 3:] = np.eye(3)
+    jacobian = turn_and_shift(turned)
     blocks[0] += np.einsum("tn,tnia,tnib->tab", weight, jacobian, jacobian)
     slope += np.einsum("tn,tnia,tni->ta", weight, jacobian, residual)
     off = np.where(np.isfinite(coarse), place - coarse, 0.0)
@@ -155,7 +155,7 @@ def _normal_equations(
     slope[:, 3:] += weights.coarse * off
     quaternion = sign_continuous(quaternion_from_matrix(turn))
     shift = np.concatenate([np.zeros((frames, 3, 3)), np.tile(np.eye(3), (frames, 1, 1))], axis=2)
-    spin = np.concatenate([_quaternion_by_turn(quaternion), np.zeros((frames, 4, 3))], axis=2)
+    spin = np.concatenate([quaternion_by_turn(quaternion), np.zeros((frames, 4, 3))], axis=2)
     for values, rows, factor in ((place, shift, weights.place), (quaternion, spin, weights.turn)):
         second = values[:-2] - 2 * values[1:-1] + values[2:]
         cost += 0.5 * factor * float((second**2).sum())
@@ -181,18 +181,3 @@ def _bands(blocks: np.ndarray) -> np.ndarray:
                 if row >= 0:
                     bands[row, a::6] += blocks[apart, :, a, b]
     return bands
-
-
-def _cross(vectors: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of the cross product with vectors (..., 3) on the left."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = ([zero, -z, y], [z, zero, -x], [-y, x, zero])
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _quaternion_by_turn(quaternion: np.ndarray) -> np.ndarray:
-    """Derivative (T, 4, 3) of quaternions (T, 4) by a small turn after them, in world axes."""
-    w, x, y, z = quaternion.T
-    rows = ([-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w])
-    return 0.5 * np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

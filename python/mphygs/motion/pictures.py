@@ -12,11 +12,12 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from mphygs.capture.holds import Hold
 from mphygs.capture.images import write_image
 from mphygs.capture.rotation import matrix_from_quaternion, rotation_vector_from_quaternion
 from mphygs.capture.views import Photograph
 from mphygs.capture.written import replace_file
-from mphygs.motion.stage_files import ContactHold, Tracks
+from mphygs.motion.stage_files import Tracks
 from mphygs.render.splatting import splat
 from mphygs.scene.gaussians import Gaussians
 
@@ -80,7 +81,7 @@ def frames_shown(frames: int) -> list[int]:
 
 
 def write_contact_picture(
-    path: Path, hold: ContactHold, fps: float, at: np.ndarray | None, coarse: np.ndarray | None
+    path: Path, hold: Hold, fps: float, at: np.ndarray | None, coarse: np.ndarray | None
 ) -> None:
     """The place of the contact and its turn over time.
 

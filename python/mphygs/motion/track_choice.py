@@ -6,7 +6,7 @@ import numpy as np
 
 from mphygs.motion.alignment import Aligner
 from mphygs.motion.control_graph import farthest_first
-from mphygs.motion.stage_files import Tracks
+from mphygs.motion.stage_files import GaussianTracks
 from mphygs.motion.tracking import Followed
 
 _CAMERAS = 2  # that show a Gaussian in most of the frames in which a track of it is worth something
@@ -31,7 +31,9 @@ def chosen_gaussians(aligner: Aligner, followed: Followed, count: int) -> np.nda
     return np.sort(candidates)
 
 
-def tracks_of(aligner: Aligner, followed: Followed, chosen: np.ndarray, variance: np.ndarray) -> Tracks:
+def tracks_of(
+    aligner: Aligner, followed: Followed, chosen: np.ndarray, variance: np.ndarray
+) -> GaussianTracks:
     """Tracks of Gaussians `chosen` (M,), NaN in frames where no camera shows them.
 
     variance: (F, M) a coordinate in some of the frames [m^2], see track_noise.py.
@@ -44,4 +46,4 @@ def tracks_of(aligner: Aligner, followed: Followed, chosen: np.ndarray, variance
     rest = graph.points[chosen]
     least = _LEAST_SIGMA * float(np.linalg.norm(np.ptp(rest, axis=0)))
     sigma = np.maximum(np.sqrt(variance.mean(axis=0)), least)
-    return Tracks(rest, position, quaternion, sigma, chosen)
+    return GaussianTracks(rest, position, sigma, quaternion, chosen)

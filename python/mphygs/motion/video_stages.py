@@ -10,26 +10,20 @@ from typing import Literal
 
 import numpy as np
 
+from mphygs.capture.digest import digest_of
 from mphygs.capture.errors import CaptureError, fault
+from mphygs.capture.files import read_arrays
 from mphygs.capture.format import Capture
+from mphygs.capture.holds import Hold
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import quaternion_from_matrix
+from mphygs.capture.stages import Stage, StageFolder
 from mphygs.capture.views import Photograph, RestViews, SequenceViews, rest_views_of, sequence_views_of
 from mphygs.motion.camera_check import check_cameras
 from mphygs.motion.contact import coarse_contact
 from mphygs.motion.grip import Grip, find_grip
 from mphygs.motion.registration import Registration, register
-from mphygs.motion.stage_files import (
-    STAGES,
-    ContactHold,
-    MotionStage,
-    Registered,
-    Tracks,
-    digest_of_files,
-    read_hold,
-    read_registered,
-    read_tracks,
-)
+from mphygs.motion.stage_files import Registered, Tracks, read_hold, read_registered, read_tracks
 from mphygs.motion.track_choice import chosen_gaussians, tracks_of
 from mphygs.motion.track_noise import variance_of_tracks
 from mphygs.motion.tracking import Followed, TrackingRule, aligner_of, follow
@@ -39,7 +33,6 @@ from mphygs.scene.ply import read_gaussians
 
 Report = Callable[[float, str], None]
 Source = Literal["own", "capture", "made", "new"]
-POSE, TRACKS, HOLD = "pose.npz", "tracks.npz", "hold.npz"
 JACKKNIFED = 6  # frames in which cameras are left out
 _KEPT_EVERY = 5  # frames
 # Of the work of tracking, the share that is done when the last frame is.
@@ -75,6 +68,11 @@ class VideoRun:
             raise fault(str(self.capture.folder / "capture.json"), "has no sequence with views", "video")
         return found
 
+    @property
+    def files(self) -> StageFolder:
+        """Where the stages stand."""
+        return StageFolder.of(self.folder)
+
     def views(self, recording: Recording) -> SequenceViews:
         """The videos of a sequence."""
         return sequence_views_of(recording, self.rest)
@@ -83,16 +81,12 @@ class VideoRun:
         """The pictures of all cameras in one frame, no larger than `longest`."""
         return [shrunk(photograph, self.longest) for photograph in views.read(frame)]
 
-    def stage(self, kind: str, recording: Recording, made_of: Mapping[str, object]) -> MotionStage:
-        """The folder of a stage of a sequence, made of the Gaussians, the videos and `made_of`."""
-        sources = {"gaussians": digest_of_files(self.gaussians_file), "longest": self.longest}
-        if self.scale != 1.0:
-            sources["gaussians_scale"] = self.scale
+    def stage(self, file: Path, recording: Recording, made_of: Mapping[str, object]) -> Stage:
+        """The stage of a sequence that leaves `file`, made of the Gaussians, the videos and `made_of`."""
+        sources = {"gaussians": digest_of(self.gaussians_file, self.scale), "longest": self.longest}
         if recording.views is not None:
-            sources["views"] = digest_of_files(recording.views)
-        if recording.views_scale != 1.0:
-            sources["views_scale"] = recording.views_scale
-        return MotionStage(self.folder / STAGES / kind / recording.name, {**sources, **made_of})
+            sources["views"] = digest_of(recording.views, recording.views_scale)
+        return Stage.of(file, {**sources, **made_of})
 
 
 def register_stage(
@@ -102,9 +96,10 @@ def register_stage(
 
     Raises CaptureError where a camera's pose is wrong, or the pictures are not of the object.
     """
-    stage = run.stage("register", recording, {"rule": asdict(rule)})
-    if stage.holds(POSE):
-        return read_registered(stage.folder / POSE, gaussians=run.gaussians.count), None
+    path = run.files.pose(recording.name)
+    stage = run.stage(path, recording, {"rule": asdict(rule)})
+    if stage.state() != "missing":
+        return read_registered(path, gaussians=run.gaussians.count), None
     views = run.views(recording)
     rest_cameras = {}
     if run.rest is not None:
@@ -127,7 +122,7 @@ def register_stage(
         "position": found.motion.shift,
         "refined": found.refined,
     }
-    stage.write(POSE, arrays)
+    stage.write(arrays)
     return Registered(**arrays), found
 
 
@@ -138,15 +133,14 @@ def track_stage(
 
     count: most tracks. Makes the registration where it is missing. A run that was broken off goes on.
     """
-    stage = run.stage("track", recording, {"rule": asdict(rule), "tracks": count})
-    path = stage.folder / TRACKS
-    if not stage.is_given(TRACKS):
+    path = run.files.tracks(recording.name)
+    stage = run.stage(path, recording, {"rule": asdict(rule), "tracks": count})
+    if stage.state() != "own":
         report(0.0, f"{recording.name}: registering")
         registered, _ = register_stage(run, recording, rule=rule)
-        pose = run.folder / STAGES / "register" / recording.name / POSE
-        stage = stage.of(pose=digest_of_files(pose))
-    if stage.holds(TRACKS):
-        return read_tracks(path, frames=recording.frames, gaussians=run.gaussians.count), None
+        stage = stage.also(pose=digest_of(run.files.pose(recording.name)))
+    if stage.state() != "missing":
+        return read_tracks(path, frames=recording.frames), None
     views = run.views(recording)
     aligner = aligner_of(run.gaussians, rule)
     first = aligner.graph.pose_of(registered.refined)
@@ -157,15 +151,17 @@ def track_stage(
 
     def keep(followed: Followed) -> None:
         if followed.frames % _KEPT_EVERY == 0 or followed.frames == recording.frames:
-            stage.keep_partial(vars(followed))
+            stage.begun.write(vars(followed))
             share = _FOLLOWING * followed.frames / recording.frames
             report(share, f"{recording.name}: frame {followed.frames} of {recording.frames}")
 
     nodes, compared = len(aligner.graph.nodes), len(aligner.chosen)
-    kept = stage.partial(
-        {"position": (None, nodes, 3), "rotation": (None, nodes, 3, 3), "cameras": (None, compared),
-         "difference": (None,)}
-    )  # fmt: skip
+    shapes = {
+        "position": (None, nodes, 3), "rotation": (None, nodes, 3, 3), "cameras": (None, compared),
+        "difference": (None,),
+    }  # fmt: skip
+    begun = stage.begun
+    kept = read_arrays(begun.path(path.name), shapes) if begun.complete(*begun.made_of) else None
     followed = follow(
         aligner,
         read,
@@ -187,10 +183,10 @@ def track_stage(
 
     variance = variance_of_tracks(aligner, read, followed, chosen, frames=frames.tolist(), report=say)
     tracks = tracks_of(aligner, followed, chosen, variance)
-    stage.write(TRACKS, tracks.arrays())
-    stage.drop_partial()
+    stage.write(tracks.arrays())
+    stage.begun.forget()
     # as written, in single precision: what follows has the same numbers whether broken off here or not
-    return read_tracks(path, frames=recording.frames, gaussians=run.gaussians.count), followed
+    return read_tracks(path, frames=recording.frames), followed
 
 
 def contact_stage(
@@ -202,22 +198,22 @@ def contact_stage(
     radius: float | None,
     estimate: bool,
     report: Report,
-) -> tuple[ContactHold, Source, Grip | None]:
+) -> tuple[Hold, Source, Grip | None]:
     """The motion of what is held, where it comes from, and how it was found.
 
     radius: of what is held [m], None to find it; estimate: also where the capture gives a hold with poses.
     Raises CaptureError where nothing says where the object is held.
     """
-    stage = run.stage("contact", recording, {})
-    path = stage.folder / HOLD
-    if stage.is_given(HOLD):
+    path = run.files.hold(recording.name)
+    stage = run.stage(path, recording, {})
+    if stage.state() == "own":
         return read_hold(path, frames=recording.frames), "own", None
     given = [] if estimate else [hold for hold in recording.held if not hold.is_fixed]
     if given:
         hold = given[0]
         arrays = {"position": hold.position, "quaternion": hold.quaternion, "box": hold.box}
-        stage.of(capture="hold").write(HOLD, arrays)
-        return ContactHold(**arrays), "capture", None
+        stage.also(capture="hold").write(arrays)
+        return hold, "capture", None
     views = run.views(recording)
     if not views.contact:
         raise fault(
@@ -226,18 +222,16 @@ def contact_stage(
             "a hold with poses in capture.json, or contact.json beside the videos",
         )
     tracks, _ = track_stage(run, recording, rule=rule, count=count, report=report)
-    stage = stage.of(
-        tracks=digest_of_files(run.folder / STAGES / "track" / recording.name / TRACKS), radius=radius
-    )
-    if stage.holds(HOLD):
+    stage = stage.also(tracks=digest_of(run.files.tracks(recording.name)), radius=radius)
+    if stage.state() != "missing":
         return read_hold(path, frames=recording.frames), "made", None
     cameras = {name: views.views[name, 0].camera for name in views.cameras}
     with named(recording):
         coarse = coarse_contact(cameras, views.contact, recording.frames)
         grip = find_grip(tracks.rest, tracks.position, coarse, radius=radius)
     arrays = {"position": grip.motion.position, "quaternion": grip.motion.quaternion, "box": grip.box}
-    stage.write(HOLD, arrays)
-    return ContactHold(**arrays), "new", grip
+    stage.write(arrays)
+    return Hold(**arrays), "new", grip
 
 
 @contextmanager

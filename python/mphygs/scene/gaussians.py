@@ -84,14 +84,3 @@ def harmonics_of_colour(colours: Tensor, degree: int = 0) -> Tensor:
 def colour_of_harmonics(harmonics: Tensor) -> Tensor:
     """The mean colours (N, 3) over all directions of harmonics (N, K, 3), held within 0 and 1."""
     return (harmonics[:, 0] * CONSTANT_HARMONIC + 0.5).clamp(0.0, 1.0)
-
-
-def rotation_matrices(rotations: Tensor) -> Tensor:
-    """Rotation matrices (N, 3, 3), differentiable, of quaternions (N, 4) wxyz of any length."""
-    w, x, y, z = torch.nn.functional.normalize(rotations, dim=-1).unbind(-1)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)

@@ -14,8 +14,6 @@ from mphygs.capture.meshes import Part, read_mesh, write_mesh
 from mphygs.capture.written import replace_arrays
 from mphygs.scene.soft_boundary import Particles
 
-FEATURES, PARTICLES, PARTS = "features.npz", "particles.npz", "parts"
-
 
 @dataclass(frozen=True, eq=False)
 class GaussianFeatures:

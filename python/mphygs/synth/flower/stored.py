@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from mphygs.capture.written import replace_arrays
 from mphygs.synth.flower.motion import Settled
 
 RECIPE = "recipe.json"
@@ -40,7 +40,7 @@ class Stored:
         path = self.folder / "truth" / f"{prefix}settled.npz"
         if not path.is_file():
             new = compute()
-            _save(path, vertices=new.vertices, displacement=new.displacement, speed=np.array(new.speed))
+            replace_arrays(path, vars(new))
         with np.load(path) as arrays:
             return Settled(arrays["vertices"], arrays["displacement"], float(arrays["speed"]))
 
@@ -52,13 +52,6 @@ class Stored:
         path = self.folder / "truth" / f"{name}_surface.npz"
         if not path.is_file():
             vertices, substeps = compute()
-            _save(path, vertices=vertices.astype(np.float32), substeps=np.array(substeps))
+            replace_arrays(path, {"vertices": vertices.astype(np.float32), "substeps": np.array(substeps)})
         with np.load(path) as arrays:
             return arrays["vertices"].astype(np.float64), int(arrays["substeps"])
-
-
-def _save(path: Path, **arrays: np.ndarray) -> None:
-    """Wholly or not at all."""
-    part = path.with_name(f"part-{path.name}")
-    np.savez_compressed(part, **arrays)
-    os.replace(part, path)

@@ -1,4 +1,7 @@
-"""The rotation in a deformation gradient, and quaternions of rotations, differentiable in torch."""
+"""Rotations that are differentiated, in torch: of deformation gradients, matrices and quaternions wxyz.
+
+Of arrays that are not: capture/rotation.py.
+"""
 
 from __future__ import annotations
 
@@ -73,6 +76,17 @@ def quaternions_of_rotations(matrices: Tensor) -> Tensor:
     longest = rows.detach().diagonal(dim1=-2, dim2=-1).argmax(dim=-1)
     chosen = torch.gather(rows, -2, longest[..., None, None].expand(*longest.shape, 1, 4))[..., 0, :]
     return torch.nn.functional.normalize(chosen, dim=-1)
+
+
+def rotation_matrices(rotations: Tensor) -> Tensor:
+    """Rotation matrices (N, 3, 3), differentiable, of quaternions (N, 4) wxyz of any length."""
+    w, x, y, z = torch.nn.functional.normalize(rotations, dim=-1).unbind(-1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
 def quaternion_product(first: Tensor, second: Tensor) -> Tensor:
