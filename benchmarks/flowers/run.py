@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -39,6 +40,9 @@ VARIANTS = {
     "no-prestress": ("--without", "prestress"),
     **{name: ("--baseline", name) for name in NAMES},
 }
+
+# What the result of a variant says until there is one.
+BROKEN_OFF = "was broken off"
 
 
 @dataclass(frozen=True)
@@ -154,16 +158,25 @@ def segmented(options: Options, species: list[str]) -> int:
     return failed
 
 
-def fitted(options: Options, species: str, variant: str, capture: Path, home: Path) -> dict[str, object]:
-    """One variant fitted, judged by the truth."""
+def fitted(
+    options: Options, species: str, variant: str, capture: Path, home: Path, *, again: bool
+) -> dict[str, object]:
+    """One variant fitted, judged by the truth. again: it was broken off, and goes on where it was."""
     run = options.out / "runs" / species / variant
+    if not again:
+        shutil.rmtree(run, ignore_errors=True)
     arguments = ["fit", str(capture), "--out", str(run), "--stages", str(home)]
-    arguments += ["--schedule", options.schedule, "--workers", str(options.workers), *VARIANTS[variant]]
+    arguments += ["--schedule", options.schedule, *VARIANTS[variant]]
     if options.spacing is not None:
         arguments += ["--spacing", str(options.spacing)]
+    if again and (run / "run.json").is_file():
+        arguments = ["fit", "--out", str(run), "--resume"]
+    arguments += ["--workers", str(options.workers)]
     found = measured(arguments, options.out / "logs" / f"{species}-{variant}.log")
     entry = judged(run, capture, found["answer"])
-    return entry | {"seconds": found["seconds"], "memory": found["memory"]}
+    # what was broken off and goes on has spent some before
+    seconds = max(found["seconds"], float(found["answer"].get("seconds", 0.0)))
+    return entry | {"seconds": seconds, "memory": found["memory"]}
 
 
 def records_of(options: Options, species: str, variants: list[str]) -> list[dict[str, object]]:
@@ -175,27 +188,33 @@ def records_of(options: Options, species: str, variants: list[str]) -> list[dict
     records, capture, home, costs = [], None, None, {}
     for variant in variants:
         path = results / f"{species}-{variant}.json"
-        if path.is_file() and not options.again:
-            entry = json.loads(path.read_text())
-            if entry["spec"] == spec and "error" not in entry:
-                records.append(entry)
-                continue
+        known = json.loads(path.read_text()) if path.is_file() and not options.again else {}
+        same = known.get("spec") == spec
+        if same and "error" not in known:
+            records.append(known)
+            continue
         print(f"{species}, {variant}", file=sys.stderr, flush=True)
         entry = {"species": species, "variant": variant, "spec": spec}
+        _write(path, entry | {"error": BROKEN_OFF})
         try:
             if capture is None:
                 capture = made(options, species)
                 home, costs = staged(options, species, capture)
-            entry |= fitted(options, species, variant, capture, home) | {"stages": costs}
+            again = same and known["error"] == BROKEN_OFF
+            entry |= fitted(options, species, variant, capture, home, again=again) | {"stages": costs}
         # whatever one flower trips over, the others go on, and it is run again next time
         except (CommandError, ValueError, OSError) as error:
             entry["error"] = " ".join(str(error).split())
             print(f"    {entry['error']}", file=sys.stderr, flush=True)
-        partial = path.with_suffix(".part")
-        partial.write_text(json.dumps(plain(entry), indent=1) + "\n")
-        partial.replace(path)
+        _write(path, entry)
         records.append(plain(entry))
     return records
+
+
+def _write(path: Path, entry: dict[str, object]) -> None:
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps(plain(entry), indent=1) + "\n")
+    partial.replace(path)
 
 
 def main() -> int:

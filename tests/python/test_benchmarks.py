@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -42,3 +46,50 @@ def test_the_benchmark_of_baselines_does_nothing_twice(tmp_path: Path) -> None:
     assert second == f"| viscosity | 7 | springs | {three}  |"
     wrong = subprocess.run([*command, "--rows", "magic"], capture_output=True, text=True, check=False)
     assert wrong.returncode == 2 and "'magic': expected some of discover, elastic" in wrong.stderr
+
+
+@pytest.fixture
+def flowers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The benchmark of flowers, where making, staging and judging one say nothing."""
+    monkeypatch.syspath_prepend(str(SCRIPTS / "flowers"))
+    spec = importlib.util.spec_from_file_location("flowers_run", SCRIPTS / "flowers" / "run.py")
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "flowers_run", module)
+    spec.loader.exec_module(module)
+    for name in ("judge", "table"):  # other benchmarks have files of these names
+        sys.modules.pop(name, None)
+    monkeypatch.setattr(module, "made", lambda options, species: options.out / species)
+    monkeypatch.setattr(module, "staged", lambda options, *_: (options.out / "stages", {}))
+    monkeypatch.setattr(module, "judged", lambda *_: {})
+    return module
+
+
+def test_a_flower_that_was_broken_off_goes_on(
+    flowers: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[list[str], bool]] = []
+    outcomes = [KeyboardInterrupt(), None, flowers.CommandError("mphygs fit: no"), None]
+
+    def measured(arguments: list[str], log: Path) -> dict[str, object]:
+        run = Path(arguments[arguments.index("--out") + 1])
+        asked.append((arguments, run.exists()))
+        run.mkdir(parents=True, exist_ok=True)
+        (run / "run.json").write_text("{}")
+        if (outcome := outcomes[len(asked) - 1]) is not None:
+            raise outcome
+        return {"seconds": 3.0, "memory": 1, "answer": {"seconds": 40.0}}
+
+    def result(**more: object) -> dict[str, object]:
+        (entry,) = flowers.records_of(flowers.Options(out=tmp_path, **more), "daisy", ["laws"])
+        return entry
+
+    monkeypatch.setattr(flowers, "measured", measured)
+    with pytest.raises(KeyboardInterrupt):
+        result()
+    assert result()["seconds"] == 40.0 and "--resume" in asked[1][0] and asked[1][1]
+    assert result()["seconds"] == 40.0 and len(asked) == 2
+    # other options, and what failed, begin anew
+    assert result(spacing=0.008)["error"] == "mphygs fit: no"
+    assert "error" not in result(spacing=0.008)
+    for arguments, there in asked[2:]:
+        assert "--resume" not in arguments and "--baseline" in arguments and not there

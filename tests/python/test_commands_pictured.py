@@ -214,6 +214,10 @@ def test_homogeneous_has_one_material(capture: Path, stages: Path, fitted: dict,
     assert load_run(out).history[-1].name == "silhouettes"
     again = answer(predict.main, out, "--out", tmp_path / "p", "--sequences", "frog", "--workers", 1)
     assert again["sequences"]["frog"]["fit"]["iou"] == found["sequences"]["frog"]["fit"]["iou"]
+    resumed = answer(fit.main, "--out", out, "--resume", "--stages", stages, "--workers", 1)
+    assert resumed["sequences"] == found["sequences"]
+    code, _, err = call(fit.main, "--out", out, "--resume", "--stages", tmp_path)
+    assert code == 2 and f"--stages: got {tmp_path}, but {out} began with {stages}" in err.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

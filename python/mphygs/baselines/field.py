@@ -11,7 +11,6 @@ everywhere.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,11 +18,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from mphygs.baselines.mover import Learned
-from mphygs.baselines.training import Plan, Progress, Values, begun_at, taken, train, trained_values
+from mphygs.baselines.simulated import Fitting, Simulated, fit_simulated, weightless
+from mphygs.baselines.training import Progress, Values, taken, trained_values
 from mphygs.baselines.weights import as_tensors
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.gradient_optimisers import Misfit
 from mphygs.fit.run import TRAINED, Run
 from mphygs.model.belief import Belief
 from mphygs.simulate.batches import Owned
@@ -44,13 +42,11 @@ SHAPES = {
 }
 RATES = {"planes": 0.02, "weight0": 0.01, "bias0": 0.01, "weight1": 0.01, "level": 0.05}
 STAGES, ITERATIONS = 8, 8
-# Shares of the fitted frames that the first stages see.
-GROWING = (0.25, 0.5)
 # What total variation costs, and the logarithm of E beyond which it is cut off.
 VARIATION, FARTHEST = 1e-4, 8.0
 
 
-class FieldPredictor(Learned):
+class FieldPredictor(Simulated):
     """Predicts by a field of E. values: see `maker`."""
 
     def settle(self) -> None:
@@ -59,7 +55,6 @@ class FieldPredictor(Learned):
         self.take(self.values)
 
     def take(self, values: Mapping[str, np.ndarray]) -> None:
-        """Predict by other numbers from now on."""
         self.values = {**values, "box": self.box}
         with torch.no_grad():
             found = field_at(as_tensors(values, SHAPES), self.points, self.box)
@@ -68,10 +63,10 @@ class FieldPredictor(Learned):
 
     def stable_substep(self, belief: Belief) -> float:
         # the largest frequency rises with the root of the stiffness
-        return super().stable_substep(weightless(belief)) / max(float(self.factor.max()), 1e-12) ** 0.5
+        return super().stable_substep(belief) / max(float(self.factor.max()), 1e-12) ** 0.5
 
     def _material(self, belief: Belief, start: Start | None) -> dict[str, np.ndarray]:
-        fields = super()._material(weightless(belief), start)
+        fields = super()._material(belief, start)
         return fields | {name: fields[name] * self.factor for name in ("mu", "lambda")}
 
     def changes(
@@ -84,12 +79,19 @@ class FieldPredictor(Learned):
             for change in super().changes(own, moved, timeline, start)
         ]
 
+    def slopes(self, belief: Belief, last: int, bar: np.ndarray) -> Values:
+        weights = as_tensors(self.values, SHAPES, slopes=True)
+        by_field = torch.as_tensor(self.field_slope(belief, last, bar), dtype=torch.float32)
+        field_at(weights, self.points, self.box).backward(by_field)
+        return {name: w.grad.numpy().astype(float) for name, w in weights.items()}
 
-def weightless(belief: Belief) -> Belief:
-    """The belief without gravity, where its rest shape carries that."""
-    if belief.prestress == "off":
-        return belief
-    return replace(belief, gravity=np.zeros(3), prestress="off")
+    def field_slope(self, belief: Belief, last: int, bar: np.ndarray) -> np.ndarray:
+        """(N,) derivative of a loss by the field at the points, for that by the markers' positions
+        (T, M, 3)."""
+        timeline = self.timeline(belief, last, self.stable_substep(belief))
+        seen = before_measurement(belief, timeline.frames / self.recording.fps, bar)
+        bars, fields, _ = field_slopes(self, belief, timeline, None, seen)
+        return sum(bars[name].ravel() * np.asarray(fields[name], float).ravel() for name in ("mu", "lambda"))
 
 
 def field_at(weights: Mapping[str, Tensor], points: Tensor, box: np.ndarray) -> Tensor:
@@ -123,61 +125,20 @@ def starting_weights(seed: int) -> dict[str, np.ndarray]:
 
 def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     """The complete run of the field. Raises SimulationError where no modulus can be run."""
-    problem = experiment.problem(run.settings.spacing)
-    belief = replace(run.belief, parameters=tuple(replace(p, free=False) for p in run.belief.parameters))
-    run = replace(run, belief=belief)
     box = np.asarray(experiment.capture.bounds, float)
     begun = starting_weights(run.seed)
-    movers = {}
-    for name in problem.ranges:
-        p = problem.predictors[name]
-        values = begun | {"box": box}
-        movers[name] = FieldPredictor(values, p.capture, p.recording, p.settings, body=p.body)
-
-    def measure(values: Mapping[str, np.ndarray], number: int, slopes: bool = True) -> tuple[float, Values]:
-        stage = number // ITERATIONS
-        share = GROWING[stage] if stage < len(GROWING) else 1.0
-        ranges = problem.narrowed(share).ranges if share < 1.0 else problem.ranges
-        weights = as_tensors(values, SHAPES, slopes=slopes)
-        cost, rows = 0.0, 0
-        for name, mover in movers.items():
-            first, last = ranges[name]
-            mover.take(values)
-            position = mover.predict(belief, last=last).position
-            misfit = Misfit(problem.observations[name], first, last)
-            bar = misfit.slope(position)
-            cost += misfit.cost
-            rows += problem.observations[name].whitener(first, last).row_count
-            if slopes:
-                by_field = torch.as_tensor(_slope(mover, belief, last, bar), dtype=torch.float32)
-                field_at(weights, mover.points, box).backward(by_field)
-        if not slopes:
-            return cost / rows, {}
-        planes = weights["planes"]
-        rough = (planes[..., 1:, :] - planes[..., :-1, :]).abs().mean()
-        rough = VARIATION * (rough + (planes[..., 1:] - planes[..., :-1]).abs().mean())
-        found = {name: w.grad.numpy().astype(float) / rows for name, w in weights.items()}
-        found["planes"] += torch.autograd.grad(rough, planes)[0].numpy()
-        return cost / rows + float(rough.detach()), found
-
-    def start() -> Values:
-        return begun_at(
-            lambda power: begun | {"level": np.array([power * np.log(10.0)])},
-            lambda values: measure(values, ITERATIONS * STAGES, slopes=False)[0],
-            progress,
-            name="field",
-        )
-
-    plan = Plan(
-        RATES, STAGES, ITERATIONS, begins=tuple((k + 1) * ITERATIONS for k in range(len(GROWING)))
-    )
-    run = train(run, start, measure, plan, {"box": box}, progress, name="field")
-    return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))
+    how = Fitting(
+        "field", lambda power: begun | {"level": np.array([power * np.log(10.0)])}, RATES, STAGES, ITERATIONS,
+        penalty=roughness,
+    )  # fmt: skip
+    make = partial(FieldPredictor, begun | {"box": box})
+    return fit_simulated(run, experiment, progress, make, {"box": box}, how)
 
 
-def _slope(mover: FieldPredictor, belief: Belief, last: int, bar: np.ndarray) -> np.ndarray:
-    """(N,) derivative of a loss by the field at the points, for that by the markers' positions (T, M, 3)."""
-    timeline = mover.timeline(belief, last, mover.stable_substep(belief))
-    seen = before_measurement(belief, timeline.frames / mover.recording.fps, bar)
-    bars, fields, _ = field_slopes(mover, belief, timeline, None, seen)
-    return sum(bars[name].ravel() * np.asarray(fields[name], float).ravel() for name in ("mu", "lambda"))
+def roughness(values: Mapping[str, np.ndarray]) -> tuple[float, Values]:
+    """What the total variation of the planes costs, and its derivative by them."""
+    planes = torch.as_tensor(values["planes"], dtype=torch.float32).requires_grad_()
+    rough = (planes[..., 1:, :] - planes[..., :-1, :]).abs().mean()
+    rough = VARIATION * (rough + (planes[..., 1:] - planes[..., :-1]).abs().mean())
+    rough.backward()
+    return float(rough.detach()), {"planes": planes.grad.numpy().astype(float)}

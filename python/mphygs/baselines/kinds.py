@@ -12,7 +12,7 @@ from mphygs.fit.run import Run
 from mphygs.simulate.prediction import Maker, Predictor
 
 # What others do, each in a module of its own.
-Baseline = Literal["homogeneous", "springs", "neural", "graph", "field", "prior"]
+Baseline = Literal["homogeneous", "springs", "neural", "graph", "field", "laws", "prior"]
 NAMES: tuple[Baseline, ...] = get_args(Baseline)
 
 

@@ -296,8 +296,8 @@ def _resumed(options: FitOptions, console: Console) -> Run:
             continue
         if key == "capture":
             same = value.resolve() == state.capture.resolve()
-        elif key == "plugin":
-            same = str(value.resolve()) == stored
+        elif isinstance(value, Path):
+            same = stored is not None and value.resolve() == Path(stored).resolve()
         else:
             same = value == stored
         if not same:
