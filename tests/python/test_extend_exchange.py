@@ -67,6 +67,17 @@ def test_the_right_effect_takes_the_place_of_one_found_before_it_could_be_told()
     assert exchange_of([*steps, found], []) is None
 
 
+def test_what_led_first_is_asked_again_near_the_floor_as_well() -> None:
+    steps = steps_with("viscosity", {"eta": 5.0})
+    found = steps[-1].assessment
+    times = 1.3 / found.worst
+    more = {name: {k: times * v for k, v in ranges.items()} for name, ranges in found.ratio.items()}
+    unexplained = replace(steps[-1], assessment=replace(found, ratio=more, adequate=False))
+    assert not unexplained.explained
+    after = exchange_of([*steps[:-1], unexplained], [])
+    assert after is not None and (after.added, after.dropped) == (("mass_damping",), ("viscosity",))
+
+
 def test_the_right_effect_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exchange, "AT_FLOOR", 0.0)
     steps, said = steps_with("mass_damping", {"alpha": 0.5}), []
