@@ -15,7 +15,7 @@ from mphygs.compare.assess import LARGEST_EXCUSED
 from mphygs.extend.ranked import ranked
 from mphygs.extend.refit import AT_FLOOR, Refit
 from mphygs.extend.refits import refits_of
-from mphygs.extend.settle import among, step_of
+from mphygs.extend.settle import among, on_the_grid_of, step_of
 from mphygs.extend.step import Step, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, told
@@ -76,6 +76,10 @@ def _in_place_of(
     better = [r for r in refits if r.entry.effect != name and r.pays and excess(r.assessment) < limit]
     better.sort(key=lambda r: excess(r.assessment))
     rivals = [step_of(r, spacing, (), since) for r in better[:RIVALS]]
+    if not current.explained:
+        # Only beside what is explained others are asked on its grid.
+        moved = [on_the_grid_of(experiment, current, rival, report) for rival in rivals]
+        rivals = [rival for rival in moved if rival is not None]
     if not rivals:
         return None
     try:

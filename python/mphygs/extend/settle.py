@@ -51,10 +51,12 @@ def plainest(best: Step, rivals: Sequence[Step]) -> tuple[Step, list[Step]]:
     return chosen, [step for step in (best, *rivals) if step is not chosen]
 
 
-def _beside(
-    experiment: Experiment, rival: Step, best: Step, report: Callable[[str], None] | None
+def on_the_grid_of(
+    experiment: Experiment, best: Step, rival: Step, report: Callable[[str], None] | None
 ) -> Step | None:
     """A rival on the grid of the best step, None where it is hopeless or cannot be simulated there."""
+    if rival.spacing == best.spacing:
+        return rival
     hopeless = ALIKE**0.5 * best.solution.evaluation.misfit
     if best.lender is None:
         return on_grid(experiment, rival, best.spacing, report, hopeless=hopeless, tangents=False)
@@ -137,7 +139,7 @@ def among(
     """
     alike = [rival for rival in rivals if rival.spacing == best.spacing]
     others = [rival for rival in rivals if rival.spacing != best.spacing] if best.explained else []
-    moved = side_by_side(experiment, lambda own, rival: _beside(own, rival, best, report), others)
+    moved = side_by_side(experiment, lambda own, rival: on_the_grid_of(own, best, rival, report), others)
     alike += [rival for rival in moved if rival is not None]
     alike.sort(key=lambda step: excess(step.assessment))
     beaten = alike and not does_alike(best, alike[0])
