@@ -24,9 +24,9 @@ from table import markdown
 
 from mphygs.baselines.kinds import NAMES
 from mphygs.capture.json_values import plain
-from mphygs.capture.motions import Motion
+from mphygs.capture.motions import HoldMovement
 from mphygs.synth.make import make_capture
-from mphygs.synth.markers import Noise
+from mphygs.synth.marker_noise import Noise
 from mphygs.synth.recipe import Recipe, Take, recipe
 
 # What is hidden, as of `mphygs synth --hidden`; nothing in "null".
@@ -65,8 +65,8 @@ class Options:
 
 def recipe_of(case: str, seed: int, markers: int) -> Recipe:
     """A bar of two materials, let go and shifted: to fit and predict; shaken: to predict alone."""
-    shift = (Motion("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
-    shake = (Motion("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
+    shift = (HoldMovement("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
+    shake = (HoldMovement("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
     takes = (
         Take("release", shift, 60.0, 56, (0, 36), (36, 56), release=2),
         Take("shake", shake, 60.0, 50, (0, 0), (0, 50), release=2),

@@ -20,9 +20,9 @@ import tyro
 
 from mphygs.capture.format import load_capture
 from mphygs.commands.synth import main as synth
-from mphygs.diagnose.shaking import swing_ways
-from mphygs.diagnose.ways import smooth_ways
-from mphygs.extend.discover import first_fit
+from mphygs.diagnose.effect_variants import smooth_variants
+from mphygs.diagnose.periodic_variants import swing_variants
+from mphygs.extend.discovery import first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.schedule import default_spacing, screening_spacing
@@ -67,8 +67,8 @@ def measured(folder: Path, options: Options) -> str:
     name, (_first, last) = next(iter(experiment.fitted.items()))
     predictor = experiment.predictor(name, spacing)
     finer = experiment.predictor(name, default_spacing(capture))
-    ways = smooth_ways(belief, predictor.body, hung=masses_of_loads(capture, [name]))
-    ways += swing_ways(belief, effect("base_motion"), [float(f) for f in range(1, SHAKES + 1)])
+    ways = smooth_variants(belief, predictor.body, hung=masses_of_loads(capture, [name]))
+    ways += swing_variants(belief, effect("base_motion"), [float(f) for f in range(1, SHAKES + 1)])
     columns = [pair for way in ways for pair in way.columns]
     substep, fine_substep = predictor.stable_substep(belief), finer.stable_substep(belief)
     # Copies: a prediction of the same object that is kept would come back.

@@ -25,7 +25,7 @@ import tyro
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.json_values import plain
 from mphygs.commands.synth import main as synth
-from mphygs.extend.discover import Discovery, discover, first_fit
+from mphygs.extend.discovery import Discovery, discover_effects, first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.schedule import default_spacing
@@ -127,7 +127,7 @@ def measured(capture: Capture, answer: dict, factor: float, options: Options) ->
     seconds, substep = simulation(experiment, fitted.belief, spacing)
     budget = experiment.assess(experiment.compare(fitted.belief, spacing, refine=True)).budget
     began = time.perf_counter()
-    found = discover(Experiment.of(capture, settings), starting_belief(capture), spacing)
+    found = discover_effects(Experiment.of(capture, settings), starting_belief(capture), spacing)
     return {
         "spacing": spacing,
         "true": at_truth,

@@ -6,8 +6,8 @@ import fnmatch
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from mphygs.capture.motions import Motion
-from mphygs.synth.markers import Noise
+from mphygs.capture.motions import HoldMovement
+from mphygs.synth.marker_noise import Noise
 from mphygs.synth.recipe import Recipe, Take, default_takes, recipe
 from mphygs.synth.shapes import shape
 
@@ -64,8 +64,8 @@ def _takes(kind: str) -> tuple[Take, ...]:
         return default_takes(shape(kind), frames=64)[:1]
     if "flower" in kind:
         return default_takes(shape(kind), frames=60)
-    shift = (Motion("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
-    shake = (Motion("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
+    shift = (HoldMovement("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
+    shake = (HoldMovement("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
     return (
         Take("release", shift, 60.0, 56, (0, 36), (36, 56), release=2),
         Take("shake", shake, 60.0, 50, (0, 0), (0, 50), release=2),

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from cases import Case
 
-from mphygs.extend.discover import Discovery
+from mphygs.extend.discovery import Discovery
 from mphygs.extend.steps import uncertainty
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.places import place_of
+from mphygs.fit.place_fit import place_of
 from mphygs.model.registry import effects
 
 

@@ -24,7 +24,7 @@ from table import right, rows, summary, summary_text
 
 from mphygs.capture.format import load_capture
 from mphygs.capture.json_values import plain
-from mphygs.extend.discover import discover
+from mphygs.extend.discovery import discover_effects
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.schedule import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
@@ -72,7 +72,7 @@ def run_case(case: Case, seed: int, options: Options, say: object) -> dict:
         spacing = screening_spacing(capture) if screening else case.fit_spacing * default_spacing(capture)
         experiment = Experiment.of(capture, Settings(spacing=spacing, workers=options.workers))
         began = time.perf_counter()
-        found = discover(
+        found = discover_effects(
             experiment, starting_belief(capture), spacing, seed=seed, screening=screening, report=say
         )
         entry = record(case, answer, found, experiment, time.perf_counter() - began)

@@ -25,7 +25,7 @@ import tyro
 from mphygs.capture.json_values import plain
 from mphygs.model.registry import effects
 from mphygs.synth.make import make_capture
-from mphygs.synth.markers import NOISES, Noise
+from mphygs.synth.marker_noise import NOISES, Noise
 from mphygs.synth.recipe import recipe
 
 STANDARD_ERRORS = 2.0

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from mphygs.capture.cameras import Camera, looking_at
-from mphygs.render.oracle import splat_by_oracle
+from mphygs.render.reference_splatting import splat_by_oracle
 from mphygs.render.splatting import splat
 from mphygs.scene.gaussians import Gaussians
 

@@ -13,19 +13,19 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mphygs.api.capture_files import load_capture as load_capture
+    from mphygs.api.capture_files import save_capture as save_capture
     from mphygs.api.comparing import Comparison as Comparison
     from mphygs.api.comparing import compare as compare
     from mphygs.api.diagnosing import Diagnosis as Diagnosis
     from mphygs.api.diagnosing import diagnose as diagnose
-    from mphygs.api.errors import FailedError as FailedError
-    from mphygs.api.errors import InputError as InputError
-    from mphygs.api.errors import MissingPackageError as MissingPackageError
-    from mphygs.api.errors import MphygsError as MphygsError
-    from mphygs.api.files import load_capture as load_capture
-    from mphygs.api.files import save_capture as save_capture
     from mphygs.api.fitting import Fit as Fit
     from mphygs.api.fitting import fit as fit
     from mphygs.api.gradient import rollout as rollout
+    from mphygs.api.interface_errors import FailedError as FailedError
+    from mphygs.api.interface_errors import InputError as InputError
+    from mphygs.api.interface_errors import MissingPackageError as MissingPackageError
+    from mphygs.api.interface_errors import MphygsError as MphygsError
     from mphygs.api.model import Model as Model
     from mphygs.api.motion import Motion as Motion
     from mphygs.api.motion import simulate as simulate
@@ -51,18 +51,18 @@ _WHERE = {
     "Capture": _FORMAT,
     "Comparison": "mphygs.api.comparing",
     "Diagnosis": "mphygs.api.diagnosing",
-    "FailedError": "mphygs.api.errors",
+    "FailedError": "mphygs.api.interface_errors",
     "Fit": "mphygs.api.fitting",
     "Force": _ACTUATORS,
     "Hold": _FORMAT,
-    "InputError": "mphygs.api.errors",
+    "InputError": "mphygs.api.interface_errors",
     "Known": _FORMAT,
     "Load": _FORMAT,
     "Markers": _FORMAT,
-    "MissingPackageError": "mphygs.api.errors",
+    "MissingPackageError": "mphygs.api.interface_errors",
     "Model": "mphygs.api.model",
     "Motion": "mphygs.api.motion",
-    "MphygsError": "mphygs.api.errors",
+    "MphygsError": "mphygs.api.interface_errors",
     "ParameterSpec": "mphygs.model.descriptor",
     "Part": _FORMAT,
     "Pressure": _ACTUATORS,
@@ -70,10 +70,10 @@ _WHERE = {
     "Sequence": _FORMAT,
     "Steps": "mphygs.api.stepping",
     "Tendon": _ACTUATORS,
-    "load_capture": "mphygs.api.files",
+    "load_capture": "mphygs.api.capture_files",
     "register_effect": "mphygs.model.user_effect",
     "rollout": "mphygs.api.gradient",
-    "save_capture": "mphygs.api.files",
+    "save_capture": "mphygs.api.capture_files",
 }
 # Functions that have the name of a package or of a command's module.
 _CALLED = {

@@ -9,7 +9,7 @@ from mphygs.batch.work import Task
 
 
 def task(name: str, folder: Path = Path("/nowhere"), **more: object) -> Task:
-    known = {"words": ("fit", "x"), "run": folder / name, "kept": folder / "logs", "place": folder}
+    known = {"words": ("fit", "x"), "run": folder / name, "logs": folder / "logs", "place": folder}
     return Task(name, "x", **(known | {"limited": True, "resumable": True} | more))
 
 

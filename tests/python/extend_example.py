@@ -12,7 +12,7 @@ from mphygs.capture.format import Capture
 from mphygs.compare.assess import Assessment
 from mphygs.compare.verdict_floor import Floor
 from mphygs.diagnose.held_out import GainInterval
-from mphygs.diagnose.ranking import Entry
+from mphygs.diagnose.ranking import RankedEffect
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution
@@ -71,8 +71,8 @@ def step_of(
 
 def entry_of(
     name: str, statistic: float, *, p_value: float = 1e-9, kind: str = "smooth", start: Belief | None = None
-) -> Entry:
-    return Entry(name, name, kind, statistic, p_value, 1.0, {}, {}, start or plain_belief())
+) -> RankedEffect:
+    return RankedEffect(name, name, kind, statistic, p_value, 1.0, {}, {}, start or plain_belief())
 
 
 def refit_of(

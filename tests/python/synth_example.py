@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from mphygs.capture.format import Capture, load_capture
-from mphygs.capture.motions import Motion
+from mphygs.capture.motions import HoldMovement
 from mphygs.synth.make import Made, make_capture
-from mphygs.synth.markers import Noise
+from mphygs.synth.marker_noise import Noise
 from mphygs.synth.recipe import Recipe, Take, recipe
 
 SIGMA = 2e-4
@@ -20,7 +20,7 @@ def small(
 ) -> Recipe:
     """A recipe of one short take on a coarse grid."""
     fps, release = (60.0, 2) if "bar" in kind else (30.0, None)
-    moved = (Motion("shake", 0.05, 0.35, by=(0.004, 0.006, 0.003), frequency=4.0, ramp=0.12),)
+    moved = (HoldMovement("shake", 0.05, 0.35, by=(0.004, 0.006, 0.003), frequency=4.0, ramp=0.12),)
     take = Take("a", moved, fps, frames, (0, frames), (0, 0), release)
     settings: dict[str, object] = {
         "spacing_share": 1.4,

@@ -17,13 +17,13 @@ from any_document import SCRIPT, SETTINGS, mutations, one_line
 from command_example import SPACING, answer, call, make_capture
 from mphygs.capture.json_values import plain
 from mphygs.commands import compare, diagnose, discover, extend, fit, report, view
-from mphygs.commands.claim import is_written
+from mphygs.commands.claim import is_own_file
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
-from mphygs.extend.kept import Kept, kept_left_out, read_kept, restored_ranking
-from mphygs.extend.told import check_models, read_diagnosis, read_steps
+from mphygs.extend.document_checks import check_models, read_diagnosis, read_steps
+from mphygs.extend.loop_record import LoopRecord, read_record, recorded_left_out, restored_ranking
 from mphygs.fit.belief_document import belief_from_document
-from mphygs.report.contents import Contents
-from mphygs.report.page import page
+from mphygs.report.page import report_page
+from mphygs.report.page_contents import Contents
 
 # A page takes longer than a document.
 PAGES = settings(SETTINGS, max_examples=80, deadline=None)
@@ -40,17 +40,17 @@ class Folders:
         answer(fit.main, self.capture, "--out", self.run, "--spacing", SPACING, *one)
         answer(extend.main, self.run, "viscosity", "--out", self.extended, *one)
         with pytest.MonkeyPatch.context() as patch:
-            write = diagnose.write_kept
+            write = diagnose.write_record
 
             def kept(path: Path, document: dict) -> None:
                 write(path, document)
                 shutil.copytree(self.run, self.stopped, dirs_exist_ok=True)
 
-            patch.setattr(diagnose, "write_kept", kept)
+            patch.setattr(diagnose, "write_record", kept)
             answer(diagnose.main, self.run, "--effects", "viscosity", "--force", *one)
         pages: list[Contents] = []
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(report, "page", lambda contents: pages.append(contents) or page(contents))
+            patch.setattr(report, "report_page", lambda own: pages.append(own) or report_page(own))
             for folder in (self.run, self.extended):
                 answer(report.main, folder, *one)
         self.plain, self.grown = pages
@@ -67,7 +67,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Folders:
 
 def test_every_finding_is_known_as_written_here(folders: Folders) -> None:
     for path in (folders.diagnosis, folders.so_far, folders.steps, folders.force):
-        assert is_written(path), path
+        assert is_own_file(path), path
 
 
 def document(path: Path) -> dict:
@@ -86,14 +86,14 @@ def test_standard_errors_that_nobody_knows_are_written_and_read(folders: Folders
     for number in steps["steps"][-1]["parameters"].values():
         number["std"] = plain(np.inf)
     found = read_diagnosis(put(folders.diagnosis, diagnosis, tmp_path))
-    assert found is not None and page(replace(folders.plain, diagnosis=found))
+    assert found is not None and report_page(replace(folders.plain, diagnosis=found))
     grown = read_steps(put(folders.steps, steps, tmp_path))
-    assert grown is not None and page(replace(folders.grown, steps=grown))
+    assert grown is not None and report_page(replace(folders.grown, steps=grown))
     state = so_far["rankings"][0]
     assert any(entry["std"] for entry in state["entries"])
     for entry in state["entries"]:
         entry["std"] = unknown(entry["std"])
-    kept = read_kept(put(folders.so_far, so_far, tmp_path))
+    kept = read_record(put(folders.so_far, so_far, tmp_path))
     entries = restored_ranking(kept["rankings"][0]).entries
     assert {std for entry in entries for std in entry.std.values()} == {np.inf}
 
@@ -119,7 +119,7 @@ def test_any_diagnosis_is_shown_or_refused_in_one_line(
     told = found.get("missing_force")
     lines = missing_force_text(told, folders.capture, folders.run) if told else ()
     assert all(line.isprintable() for line in lines)
-    assert SCRIPT not in page(replace(folders.plain, diagnosis=found, force=lines))
+    assert SCRIPT not in report_page(replace(folders.plain, diagnosis=found, force=lines))
 
 
 @given(data=st.data())
@@ -133,7 +133,7 @@ def test_any_steps_are_shown_or_refused_in_one_line(
     except ValueError as error:
         one_line(error, path)
     else:
-        assert SCRIPT not in page(replace(folders.grown, steps=found))
+        assert SCRIPT not in report_page(replace(folders.grown, steps=found))
 
 
 @given(data=st.data())
@@ -143,16 +143,16 @@ def test_any_steps_are_gone_on_from_or_refused_in_one_line(
 ) -> None:
     path = put(folders.so_far, data.draw(mutations(document(folders.so_far))), tmp_path)
     try:
-        found = read_kept(path)
+        found = read_record(path)
         check_models(path, found["states"] if "states" in found else (), folders.plain.capture)
     except ValueError as error:
         one_line(error, path)
         return
-    kept = Kept.of(found, path)
+    kept = LoopRecord.of(found, path)
     assert len(kept.documents) >= len(kept.states)
     for state in kept.states:
         assert belief_from_document(state["belief"]).parts == ("bar",)
-    for frames in kept_left_out(found).values():
+    for frames in recorded_left_out(found).values():
         assert all(frame >= 0 and marker >= 0 for frame, marker in frames)
     for ranking in found.get("rankings", ()):
         assert len(restored_ranking(ranking).entries) == len(ranking["entries"])

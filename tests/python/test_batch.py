@@ -136,8 +136,8 @@ class Ended:
 def here(monkeypatch: pytest.MonkeyPatch) -> Here:
     """The one worker that a batch finds in the place of a cluster of this machine."""
     pool = Here()
-    monkeypatch.setattr(command, "local", lambda *_: contextlib.nullcontext(pool))
-    monkeypatch.setattr(command, "needed", lambda: None)
+    monkeypatch.setattr(command, "local_workers", lambda *_: contextlib.nullcontext(pool))
+    monkeypatch.setattr(command, "check_distributed", lambda: None)
     return pool
 
 

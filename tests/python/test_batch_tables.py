@@ -9,10 +9,10 @@ import pytest
 
 from batch_example import task
 from mphygs.batch.dispatch import Running
-from mphygs.batch.page import page
 from mphygs.batch.summary import Row, csv_text, row_of
+from mphygs.batch.summary_page import summary_page
 from mphygs.batch.work import Outcome
-from mphygs.commands.batch_view import View
+from mphygs.commands.batch_view import BatchView
 from mphygs.commands.console import Console
 from page_driver import opened
 
@@ -84,7 +84,7 @@ def test_the_table_as_csv_has_every_number_to_its_last_digit() -> None:
 
 
 def test_the_page_sorts_by_any_column_without_a_network(tmp_path: Path) -> None:
-    text = page("two & more", "mphygs batch", rows(), folders=True)
+    text = summary_page("two & more", "mphygs batch", rows(), folders=True)
     assert "http" not in text.replace("http-equiv", "") and "<b>&quot;" not in text and "&lt;b&gt;" in text
     (tmp_path / "summary.html").write_text(text, encoding="utf-8")
     with opened((tmp_path / "summary.html").as_uri()) as shown:
@@ -122,7 +122,7 @@ def test_all_runs_are_shown_in_one_view(
     stream: io.StringIO, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    view = View(Console(stream), before=1, total=4)
+    view = BatchView(Console(stream), before=1, total=4)
     running = []
     for name, said in (("bar", "reading\n[ 12 %, 3 s] coarse\n"), ("longer", "")):
         one = task(name, tmp_path)

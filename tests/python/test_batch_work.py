@@ -36,7 +36,7 @@ print('{"threads": "' + " ".join(os.environ[n] for n in names) + '"}')
 def scripted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder in which a script takes the place of the package that a run's process runs."""
     (tmp_path / "mphygs.py").write_text(PRINTS)
-    alone = Path(work.__file__).with_name("alone.py").read_text(encoding="utf-8")
+    alone = Path(work.__file__).with_name("child_process.py").read_text(encoding="utf-8")
     (tmp_path / "alone.py").write_text(alone.replace("GRACE = 10.0", "GRACE = 2.0"))
 
     def popen(line: list[str], **known: object) -> subprocess.Popen:

@@ -63,7 +63,7 @@ def processes(out: Path) -> list[tuple[int, int]]:
         with contextlib.suppress(OSError):
             words = (entry / "cmdline").read_bytes().split(b"\0")
             parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            if b"mphygs.batch.alone" in words and any(os.fsencode(out) in word for word in words):
+            if b"mphygs.batch.child_process" in words and any(os.fsencode(out) in word for word in words):
                 found.append((int(entry.name), parent))
     return found
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from extend_example import assessment_of, entry_of, plain_belief, step_of
 from mphygs.capture.json_values import plain
-from mphygs.diagnose.ranking import Ranking, lost
+from mphygs.diagnose.ranking import Ranking, unsimulated
 from mphygs.extend.candidate_table import candidate_rows, path_rows, path_text, table_text
 
 
@@ -20,7 +20,7 @@ def test_every_candidate_has_a_row_with_its_fate() -> None:
         entry_of("viscosity", 900.0),
         open_,
         entry_of("wind", 400.0),
-        lost("relaxation", "relaxation", "no stable substep", before, 3.0),
+        unsimulated("relaxation", "relaxation", "no stable substep", before, 3.0),
     )
     step = replace(step_of(assessment_of(1.0)), added=("viscosity",), ties=("wind",))
     fates = {"gravity": "promises too little"}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mphygs.capture.motions import Motion, hold_poses, ramp
+from mphygs.capture.motions import HoldMovement, hold_poses, ramp
 from mphygs.capture.rotation import matrix_from_quaternion
 
 
@@ -19,8 +19,8 @@ def test_ramp_has_no_jump_in_two_derivatives() -> None:
 
 def test_movements_add_up_and_turn_about_the_pivot() -> None:
     pivot = np.array([0.1, 0.0, 0.02])
-    shift = Motion("shift", 0.1, 0.4, by=(0.0, 0.02, 0.01))
-    turn = Motion("turn", 0.1, 0.4, axis=(0.0, 0.0, 2.0), degrees=90.0)
+    shift = HoldMovement("shift", 0.1, 0.4, by=(0.0, 0.02, 0.01))
+    turn = HoldMovement("turn", 0.1, 0.4, axis=(0.0, 0.0, 2.0), degrees=90.0)
     times = np.array([0.0, 0.1, 0.4, 1.0])
     position, quaternion = hold_poses((shift, turn), times, pivot)
     moved = matrix_from_quaternion(quaternion) @ pivot + position
@@ -31,7 +31,7 @@ def test_movements_add_up_and_turn_about_the_pivot() -> None:
 
 
 def test_a_shake_swings_at_its_frequency_and_ends_where_it_began() -> None:
-    shake = Motion("shake", 0.5, 2.5, by=(0.01, 0.0, 0.0), frequency=4.0, ramp=0.2)
+    shake = HoldMovement("shake", 0.5, 2.5, by=(0.01, 0.0, 0.0), frequency=4.0, ramp=0.2)
     times = np.linspace(0.0, 3.0, 3001)
     x = hold_poses((shake,), times, np.zeros(3))[0][:, 0]
     assert np.abs(x[times <= 0.5]).max() == 0.0 and np.abs(x[times >= 2.5]).max() == 0.0
@@ -51,4 +51,4 @@ def test_a_shake_swings_at_its_frequency_and_ends_where_it_began() -> None:
 )
 def test_impossible_movements_are_refused(values, said) -> None:
     with pytest.raises(ValueError, match=said):
-        Motion(**values)
+        HoldMovement(**values)

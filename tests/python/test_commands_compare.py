@@ -14,7 +14,7 @@ from mphygs.commands import command_table as all_commands
 from mphygs.commands import compare as command
 from mphygs.commands import fit, predict
 from mphygs.compare.metrics import point_error
-from mphygs.compare.pictures import moving_most, spectrum
+from mphygs.compare.sequence_pictures import moving_most, spectrum
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from command_example import ETA, SPACING, answer, call, make_capture
 from mphygs.commands import command as frame
 from mphygs.commands import compare, diagnose, discover, extend, fit, predict
 from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_force, with_plugin_in
-from mphygs.extend import kept as kept_steps
+from mphygs.extend import loop_record as kept_steps
 from mphygs.fit.run import load_run
 
 CANDIDATES = "viscosity,gravity"
@@ -135,14 +135,14 @@ def test_diagnose_goes_on_where_it_was_stopped(
     """kept: the number of steps that it had found."""
     run = tmp_path / "a run"
     shutil.copytree(elastic, run)
-    write = diagnose.write_kept
+    write = diagnose.write_record
 
     def broken_off(path: Path, document: dict) -> None:
         write(path, document)
         if len(document["steps"]) == kept:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(diagnose, "write_kept", broken_off)
+    monkeypatch.setattr(diagnose, "write_record", broken_off)
     code, out, err = call(diagnose.main, run, "--effects", CANDIDATES)
     assert (code, out) == (130, "")
     monkeypatch.undo()
@@ -150,7 +150,7 @@ def test_diagnose_goes_on_where_it_was_stopped(
         line = f"continue with: mphygs diagnose '{run}' --effects {CANDIDATES} --resume"
         assert line in err.splitlines()[-1]
         # The first ranking is not made again.
-        monkeypatch.setattr("mphygs.extend.ranked.rank", None)
+        monkeypatch.setattr("mphygs.extend.window_ranking.rank", None)
     code, _, err = call(diagnose.main, run, "--effects", "gravity", "--resume")
     assert code == 2 and f"began with {CANDIDATES}" in err and err.count("\n") == 1
     found = answer(diagnose.main, run, "--effects", CANDIDATES, "--resume")
@@ -173,14 +173,14 @@ def test_extend_goes_on_where_it_was_stopped(
     elastic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "two effects"
-    add = extend.add_named
+    add = extend.add_effect
 
     def broken_off(*arguments: object, **options: object) -> tuple:
         if arguments[2] == "gravity":
             raise KeyboardInterrupt
         return add(*arguments, **options)
 
-    monkeypatch.setattr(extend, "add_named", broken_off)
+    monkeypatch.setattr(extend, "add_effect", broken_off)
     options = (elastic, "viscosity,gravity", "--out", out)
     code, text, err = call(extend.main, *options)
     assert (code, text) == (130, "")
@@ -192,7 +192,7 @@ def test_extend_goes_on_where_it_was_stopped(
         assert arguments[2] == "gravity"
         return add(*arguments, **options)
 
-    monkeypatch.setattr(extend, "add_named", only_the_second)
+    monkeypatch.setattr(extend, "add_effect", only_the_second)
     code, _, err = call(extend.main, elastic, "viscosity", "--out", out, "--resume")
     assert code == 2 and "was to add viscosity, gravity" in err and err.count("\n") == 1
     found = answer(extend.main, *options, "--resume")
@@ -283,7 +283,7 @@ def test_discover_runs_the_loop_and_resumes(
     steps.write_text(json.dumps({k: v for k, v in json.loads(steps.read_text()).items() if k != "verdict"}))
     with pytest.MonkeyPatch.context() as patch:
         asked = []
-        patch.setattr(discover, "discover", lambda *_, names, **__: asked.append(names) or 1 / 0)
+        patch.setattr(discover, "discover_effects", lambda *_, names, **__: asked.append(names) or 1 / 0)
         call(discover.main, capture, *options[:4], "--resume")
     assert asked == [tuple(CANDIDATES.split(","))]
     code, _, err = call(discover.main, capture, *options[:4], "--effects", "gravity", "--resume")

@@ -13,13 +13,13 @@ from mphygs.capture.json_values import plain
 from mphygs.commands import extend, fit
 from mphygs.commands import report as command
 from mphygs.diagnose.force_features import Feature
-from mphygs.diagnose.force_formula import Formula, Term
+from mphygs.diagnose.force_formula import Formula, FormulaTerm
 from mphygs.diagnose.force_readings import ForceSample
 from mphygs.diagnose.force_regression import Explained
 from mphygs.diagnose.missing_force import MissingForce
 from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_force
 from mphygs.fit.run import load_run
-from mphygs.report.html import script_data, table
+from mphygs.report.html import html_table, script_data
 from page_driver import opened
 
 SECTIONS = (
@@ -138,7 +138,7 @@ def with_force(reported: Path) -> Path:
     sample = ForceSample(
         "swing", force, place, -0.1 * force, np.array([1e-3, 1e-3]), np.array([0, 0]), ("bar",), frames
     )
-    term = Term(0, "e_z", "m/s^2", 2.0, 0.1, 0.95, ("v",))
+    term = FormulaTerm(0, "e_z", "m/s^2", 2.0, 0.1, 0.95, ("v",))
     explained = Explained(Formula((term,), 0.9, ()), (Feature("uniform", None, (2.0,)),))
     missing = MissingForce(load_run(folder).belief, {}, 900.0, 100.0, 100, 1.0)
     found = Unexplained(missing, (sample,), explained, ("bar",))
@@ -187,7 +187,7 @@ def test_browser_draws_the_missing_force_over_time(with_force: Path) -> None:
 
 
 def test_pieces_of_html_are_safe_and_complete() -> None:
-    assert "&lt;b&gt;" in table(["<b>"], [["<b>", 1.5]]) and "1.5" in table(["a"], [[1.5]])
+    assert "&lt;b&gt;" in html_table(["<b>"], [["<b>", 1.5]]) and "1.5" in html_table(["a"], [[1.5]])
     assert "</script>" not in script_data({"name": "</script>"})
 
 

@@ -14,7 +14,7 @@ import mphygs
 from command_example import answer, call
 from mphygs.capture.format import load_capture
 from mphygs.commands import compare, diagnose, fit, report, synth
-from mphygs.compare.sensed import sensor_lines
+from mphygs.compare.sensor_residuals import sensor_lines
 from mphygs.fit import checkpointed
 
 SENSORS = "force,torque,acceleration"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mphygs.compare.assess import Compared
+from mphygs.compare.masked_means import mean_seen
 from mphygs.compare.noise import Observation
-from mphygs.compare.pictures import sequence_figure
 from mphygs.compare.roughness import doubted_sigma, jumps, opposed
-from mphygs.compare.seen import mean_seen
+from mphygs.compare.sequence_pictures import sequence_figure
 from mphygs.compare.whitening import NoiseModel
 
 FRAMES, MARKERS, SIGMA = 80, 60, 1e-4

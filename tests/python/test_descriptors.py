@@ -12,7 +12,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from mphygs import _core
-from mphygs.diagnose.ways import missing
+from mphygs.diagnose.effect_variants import absent_effects
 from mphygs.extend.step import FAULT as OUTLIERS
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.model import faults as fault_files
@@ -22,8 +22,13 @@ from mphygs.model.belief import Belief
 from mphygs.model.descriptor import VECTORS, EffectSpec, ParameterSpec
 from mphygs.model.registry import effects, faults, laws, material_effects
 from mphygs.simulate.body import Body
-from mphygs.simulate.fields import core_effects, direction, primal
-from mphygs.simulate.measurement import before_measurement, lateness, measured, unmeasured
+from mphygs.simulate.fields import core_effects, core_input_tangent, core_inputs
+from mphygs.simulate.measurement import (
+    before_measurement,
+    lateness,
+    with_measurement_faults,
+    without_measurement_faults,
+)
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings, impossible_effects
 
@@ -169,7 +174,7 @@ def test_effects_tell_their_share_of_the_stable_step() -> None:
         whole = belief
         for name, values in effects_.items():
             whole = whole.with_effect(name, values)
-        return primal(whole, body)["effect"], list(core_effects(whole))
+        return core_inputs(whole, body)["effect"], list(core_effects(whole))
 
     assert _core.stiffness_factor(*flat(relaxation={"ratio": 3.0})) == 4.0
     assert _core.stiffness_factor(*flat(viscosity={"eta": 3.0})) == 1.0
@@ -190,16 +195,16 @@ def test_effects_tell_their_share_of_the_stable_step() -> None:
 def test_derivatives_of_an_effect_of_the_material(name: str) -> None:
     body: Body = bar().body
     belief = with_effect(bar_belief(bar().capture, youngs_modulus=(4e4, 2e4)), name)
-    plain = primal(bar_belief(bar().capture, youngs_modulus=(4e4, 2e4)), body)
-    assert any(not np.array_equal(plain[k], v) for k, v in primal(belief, body).items())
+    plain = core_inputs(bar_belief(bar().capture, youngs_modulus=(4e4, 2e4)), body)
+    assert any(not np.array_equal(plain[k], v) for k, v in core_inputs(belief, body).items())
     keys = [f"{name}.{p.name}" for p in effects()[name].fitted]
     for key in (*keys, "part1.youngs_modulus", "part1.density"):
-        found = direction(belief, body, belief[key])
+        found = core_input_tangent(belief, body, belief[key])
         assert found and all(np.abs(v).max() > 0.0 for v in found.values())
         ends = []
         for step in (1e-5, -1e-5):
             moved = belief[key].at(belief[key].coordinate + step)
-            ends.append(primal(belief.with_parameter(key, value=moved.value), body))
+            ends.append(core_inputs(belief.with_parameter(key, value=moved.value), body))
         for field, ahead in ends[0].items():
             slope = (ahead - ends[1][field]) / 2e-5
             size = np.abs(ahead).max(initial=0.0)
@@ -218,7 +223,9 @@ def test_derivatives_of_a_fault(name: str) -> None:
 
     def seen(of: Belief, wanted: list, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         position = place + (times + lateness(of))[:, None, None] * speed
-        return measured(of, wanted, times, position, np.broadcast_to(speed, position.shape), jacobian)
+        return with_measurement_faults(
+            of, wanted, times, position, np.broadcast_to(speed, position.shape), jacobian
+        )
 
     faulty, none = with_effect(belief, name), np.zeros((7, 4, 3, 0))
     assert not np.allclose(seen(faulty, [], none)[0], seen(belief, [], none)[0])
@@ -239,7 +246,7 @@ def test_derivatives_of_a_fault(name: str) -> None:
         np.testing.assert_array_equal(beside, seen(null, [(null, null[key])], np.zeros((7, 4, 3, 1)))[2])
     # What it does can be taken off, and its transpose is one.
     true = place + (times + lateness(faulty))[:, None, None] * speed
-    np.testing.assert_allclose(unmeasured(faulty, times, position), true, atol=1e-12)
+    np.testing.assert_allclose(without_measurement_faults(faulty, times, position), true, atol=1e-12)
     change, bar_ = generator.normal(size=(2, 7, 4, 3))
     pushed = seen(faulty, [(belief, belief["part0.density"])], change[..., None])[2][..., 0]
     assert np.vdot(bar_, pushed) == pytest.approx(np.vdot(before_measurement(faulty, times, bar_), change))
@@ -255,9 +262,9 @@ def test_faults_act_one_after_the_other() -> None:
     for name in ("length_scale", "frame_drift"):
         belief = with_effect(belief, name)
     times, still = np.arange(3.0), np.ones((3, 1, 3))
-    shown = measured(belief, [], times, still, 0.0 * still, np.zeros((3, 1, 3, 0)))[0]
+    shown = with_measurement_faults(belief, [], times, still, 0.0 * still, np.zeros((3, 1, 3, 0)))[0]
     scale = 1.0 + belief["length_scale.scale"].value
-    drifted = measured(
+    drifted = with_measurement_faults(
         belief.without_effect("length_scale"), [], times, still, 0.0 * still, np.zeros((3, 1, 3, 0))
     )
     np.testing.assert_allclose(shown, scale * drifted[0])
@@ -303,7 +310,7 @@ def test_a_law_takes_the_place_of_another_and_gives_it_back() -> None:
     # Beside it no other law is a candidate, and none beside itself.
     names = {n for n, e in effects().items() if e.site == "law"}
     for of, left in ((belief, names - {usual}), (given, names - {other}), (model, set())):
-        assert {spec.name for spec in missing(of, "total-lagrangian", None)} & names == left
+        assert {spec.name for spec in absent_effects(of, "total-lagrangian", None)} & names == left
 
 
 def test_a_model_with_another_law_moves_as_one_that_was_given_it() -> None:

@@ -25,12 +25,12 @@ from mphygs.diagnose.contact_search import (
 )
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import find_scale, forget
+from mphygs.fit.schedule import find_scale, with_materials_at_prior
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.prestress import RestShape
-from ways_example import WALL_EFFECT, with_wall
+from variants_example import WALL_EFFECT, with_wall
 
 SIGMA = 2e-4  # [m]
 # The measured bar is made on another grid than the one that looks at it.
@@ -286,7 +286,7 @@ def test_a_softer_object_meets_the_wall_that_the_fitted_one_is_too_stiff_to_reac
     found = search_softer(softly, observation, belief, evaluation, WALL_EFFECT, report=said.append)
     assert 1 <= len(found) <= contact_search.MOVED and len(said) == 1
     soft, plane = found[0]
-    best = find_scale(softly, forget(belief))["part0.youngs_modulus"].value
+    best = find_scale(softly, with_materials_at_prior(belief))["part0.youngs_modulus"].value
     shares = soft["part0.youngs_modulus"].value / best
     assert min(abs(shares - share) for share in contact_search.SOFTER) < 1e-9
     assert plane.chi_square < contact_search.HELPS * evaluation.chi_square

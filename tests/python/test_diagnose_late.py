@@ -12,16 +12,16 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, entry_of, recorded
 from mphygs.diagnose import rank as ranking
+from mphygs.diagnose.effect_variants import LATE_PLACES, SINCE_THE_START, late_variants, smooth_variants
 from mphygs.diagnose.rank import rank
-from mphygs.diagnose.ranking import Entry
-from mphygs.diagnose.starts import start_of
-from mphygs.diagnose.ways import LATE_PLACES, SINCE_THE_START, late_ways, smooth_ways
-from mphygs.extend.separate import _way_of
+from mphygs.diagnose.ranking import RankedEffect
+from mphygs.diagnose.refit_starts import refit_start
+from mphygs.extend.separating_motions import _variant_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor, Settings
-from ways_example import between, mass_way, wind_way
+from variants_example import between, mass_way, wind_way
 
 FREE = ("part0.youngs_modulus",)
 FRAMES = 24
@@ -38,7 +38,7 @@ def resting(prestress: str = "equilibrium") -> tuple[Predictor, Belief]:
     return Predictor(capture, capture.sequence("a"), Settings(SPACING, workers=1)), belief
 
 
-def ranked(truth: Belief, *, names: tuple[str, ...] | None = None) -> tuple[Entry, ...]:
+def ranked(truth: Belief, *, names: tuple[str, ...] | None = None) -> tuple[RankedEffect, ...]:
     """How effects rank for the elastic model fitted to a motion."""
     predictor, belief = resting()
     capture = recorded(predictor.capture, truth)
@@ -52,7 +52,7 @@ def ranked(truth: Belief, *, names: tuple[str, ...] | None = None) -> tuple[Entr
 
 def test_what_acts_since_the_first_frame_is_a_candidate_where_the_shape_bears_a_load() -> None:
     predictor, belief = resting()
-    ways, blocks = late_ways(belief, predictor.body), predictor.body.free_block_count
+    ways, blocks = late_variants(belief, predictor.body), predictor.body.free_block_count
     assert Counter(way.effect for way in ways) == {
         "gravity": 1, "wind": 6, "attached_mass": min(LATE_PLACES, blocks), "tether": 3,
     }  # fmt: skip
@@ -60,25 +60,29 @@ def test_what_acts_since_the_first_frame_is_a_candidate_where_the_shape_bears_a_
         assert way.label.endswith(SINCE_THE_START)
         for extended, _parameter in way.columns:
             assert extended.term(way.effect).settings["at_rest"] is False
-        start = start_of(way, np.full(len(way.columns), 0.01), belief)
+        start = refit_start(way, np.full(len(way.columns), 0.01), belief)
         assert start.term(way.effect).settings["at_rest"] is False
     # Beside those that the shape bears, with labels of their own; the model's own effects are none.
-    labels = [way.label for way in (*smooth_ways(belief, predictor.body), *ways)]
+    labels = [way.label for way in (*smooth_variants(belief, predictor.body), *ways)]
     assert len(set(labels)) == len(labels)
     windy = belief.with_effect("wind", {"c_d": 1.0, "w_x": 1.0})
-    assert {way.effect for way in late_ways(windy, predictor.body)} == {"gravity", "attached_mass", "tether"}
-    asked = late_ways(belief, predictor.body, names=("tether", "viscosity"))
+    assert {way.effect for way in late_variants(windy, predictor.body)} == {
+        "gravity",
+        "attached_mass",
+        "tether",
+    }
+    asked = late_variants(belief, predictor.body, names=("tether", "viscosity"))
     assert {way.effect for way in asked} == {"tether"}
     # A shape that is free of stress bears nothing.
     free, free_belief = resting("off")
-    assert late_ways(free_belief, free.body) == []
+    assert late_variants(free_belief, free.body) == []
 
 
 @pytest.mark.parametrize("name", ["gravity", "wind", "attached_mass", "tether"])
 def test_tangents_of_a_late_load_follow_differences(name: str) -> None:
     """Beside the same load borne by the shape, which moves nothing at first."""
     predictor, belief = resting()
-    way = next(w for w in late_ways(belief, predictor.body, names=(name,)))
+    way = next(w for w in late_variants(belief, predictor.body, names=(name,)))
     extended, parameter = way.columns[-1]
     tangent = predictor.predict(belief, candidates=[(extended, parameter)]).jacobian[..., 0] / parameter.slope
     step = {"gravity": 0.05, "wind": 0.4, "attached_mass": 2e-5, "tether": 0.02}[name]
@@ -127,7 +131,7 @@ def test_a_load_that_came_after_the_scan_is_named_with_that(name: str, values: d
 
 def test_late_loads_are_not_tried_where_the_first_frames_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
     _, belief = resting()
-    monkeypatch.setattr(ranking, "late_ways", lambda *_, **__: pytest.fail("late loads were asked for"))
+    monkeypatch.setattr(ranking, "late_variants", lambda *_, **__: pytest.fail("late loads were asked for"))
     # Damping shows when something moves, a tilt that the shape bears hardly ever.
     entries = ranked(belief.with_effect("mass_damping", {"alpha": 6.0}), names=("mass_damping", "gravity"))
     assert entries[0].effect == "mass_damping" and entries[0].statistic > 100.0
@@ -175,16 +179,16 @@ def test_a_mass_between_is_late_as_those_around_it() -> None:
 
 def test_the_next_motion_is_asked_of_the_way_that_was_found() -> None:
     predictor, belief = resting()
-    ways = [*smooth_ways(belief, predictor.body), *late_ways(belief, predictor.body)]
+    ways = [*smooth_variants(belief, predictor.body), *late_variants(belief, predictor.body)]
     for late in (False, True):
         # A mass between the places that are tried has a label of its own.
         settings = {"place": [0.05, 0.01, 0.01]} | (CAME if late else {})
         start = belief.with_effect("attached_mass", {"m": 1e-3}, settings)
         entry = replace(entry_of("attached_mass", 100.0), label="attached_mass in between", start=start)
-        found = _way_of(entry, ways)
+        found = _variant_of(entry, ways)
         assert found is not None and found.effect == "attached_mass"
         assert found.label.endswith(SINCE_THE_START) is late
         own = [way for way in ways if way.effect == "attached_mass"]
         exact = [way for way in own if (SINCE_THE_START in way.label) is late][-1]
-        assert _way_of(replace(entry, label=exact.label), ways) is exact
-    assert _way_of(None, ways) is None
+        assert _variant_of(replace(entry, label=exact.label), ways) is exact
+    assert _variant_of(None, ways) is None

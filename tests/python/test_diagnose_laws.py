@@ -9,12 +9,12 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, assessment_of, recorded, step_of
-from mphygs.diagnose import trials_of, tried
+from mphygs.diagnose import finite_trials, trial_ranking
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import candidate_rows
+from mphygs.extend.model_selection import step_of as step_from
 from mphygs.extend.refit import finish_refit, start_refit
-from mphygs.extend.settle import step_of as step_from
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model.belief import Belief
@@ -81,8 +81,8 @@ def test_a_law_that_strains_do_not_tell_is_struck_off_before_any_refit() -> None
 def test_no_law_is_tried_where_noise_is_all_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, fitted, _ = scene(None, SOFT, 0.008)
     assert [e.effect for e in ranked(experiment, fitted, "viscosity", OTHER).entries] == ["viscosity"]
-    monkeypatch.setattr(trials_of, "SPREAD", -np.inf)
+    monkeypatch.setattr(finite_trials, "SPREAD", -np.inf)
     (law,) = (e for e in ranked(experiment, fitted, "viscosity", OTHER).entries if e.effect == OTHER)
     assert law.statistic == 0.0 and not law.reason and law.p_value == 1.0
-    monkeypatch.setattr(tried, "TELLS", np.inf)
+    monkeypatch.setattr(trial_ranking, "TELLS", np.inf)
     assert any(e.reason for e in ranked(experiment, fitted, OTHER).entries)

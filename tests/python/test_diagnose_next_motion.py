@@ -10,9 +10,9 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.diagnose.document import advice
-from mphygs.diagnose.next_motion import Proposed, candidate_motions, leading_frequency, propose
-from mphygs.diagnose.ways import smooth_ways
+from mphygs.diagnose.diagnosis_document import advice
+from mphygs.diagnose.effect_variants import smooth_variants
+from mphygs.diagnose.next_motion import Proposed, candidate_motions, motion_frequency, propose
 from mphygs.fit.experiment import Experiment
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
@@ -33,7 +33,7 @@ def test_the_frequency_is_that_of_the_markers() -> None:
     observation = next(iter(experiment.observations.values()))
     times = np.arange(40) / 100.0
     swing = 1e-3 * np.sin(2 * np.pi * 7.5 * times)[:, None, None] * np.ones((1, 5, 3))
-    assert leading_frequency(replace(observation, position=swing), 100.0, (0, 40)) == pytest.approx(7.5)
+    assert motion_frequency(replace(observation, position=swing), 100.0, (0, 40)) == pytest.approx(7.5)
 
 
 def test_holds_are_moved_and_nothing_else() -> None:
@@ -61,7 +61,7 @@ def test_fast_motions_tell_viscosity_from_mass_damping() -> None:
     experiment, belief = scene()
     name = next(iter(experiment.fitted))
     predictor = experiment.predictor(name, SPACING)
-    ways = {w.effect: w for w in smooth_ways(belief, predictor.body, names=["viscosity", "mass_damping"])}
+    ways = {w.effect: w for w in smooth_variants(belief, predictor.body, names=["viscosity", "mass_damping"])}
     pair = ways["viscosity"], ways["mass_damping"]
     told: list[str] = []
     observation = experiment.observations[name]

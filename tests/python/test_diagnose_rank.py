@@ -13,14 +13,14 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, entry_of, recorded
 from mphygs.capture.holds import Load
 from mphygs.compare.noise import Observation
+from mphygs.diagnose import finite_trials, trial_ranking
 from mphygs.diagnose import rank as ranking
-from mphygs.diagnose import trials_of, tried
 from mphygs.diagnose.contact_search import Plane
-from mphygs.diagnose.document import ranking_document
+from mphygs.diagnose.diagnosis_document import ranking_document
+from mphygs.diagnose.effect_variants import SINCE_THE_START
+from mphygs.diagnose.periodic_variants import periodic_variants
 from mphygs.diagnose.rank import rank
-from mphygs.diagnose.ranking import Entry, Ranking
-from mphygs.diagnose.shaking import shaking_ways
-from mphygs.diagnose.ways import SINCE_THE_START
+from mphygs.diagnose.ranking import RankedEffect, Ranking
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads
@@ -34,7 +34,7 @@ HUNG = Load(np.array([[0.05, 0.0, 0.0], [0.06, 0.02, 0.02]]), np.array([0.0, 0.0
 FREE = ("part0.youngs_modulus",)
 
 
-def together(entries: list[Entry], trials: list[Entry]) -> list[Entry]:
+def together(entries: list[RankedEffect], trials: list[RankedEffect]) -> list[RankedEffect]:
     return ranking._with_trials(entries, trials)
 
 
@@ -123,7 +123,7 @@ def test_a_wall_is_refitted_from_every_place_that_was_found(monkeypatch: pytest.
     """What explains much before a refit, at a wrong place, may beat the wall that stands there."""
     planes = [Plane(np.array([0.0, 0.0, 1.0]), offset) for offset in (-0.2, -0.012, -0.014)]
     belief = scene()[1].belief
-    monkeypatch.setattr(tried, "walls", lambda *_a, **_k: [(belief, plane) for plane in planes])
+    monkeypatch.setattr(trial_ranking, "walls", lambda *_a, **_k: [(belief, plane) for plane in planes])
     (entry,) = ranked("contact").entries
     starts = [entry.start, *entry.others]
     assert sorted(start["contact.d"].value for start in starts) == [-0.2, -0.014, -0.012]
@@ -145,13 +145,13 @@ def test_what_is_tried_is_read_off_the_sequence_that_is_off_most(monkeypatch: py
         seen["yields"] = next(iter(problem.ranges))
         return []
 
-    monkeypatch.setattr(tried, "walls", found)
-    monkeypatch.setattr(tried, "trials_of", yields)
+    monkeypatch.setattr(trial_ranking, "walls", found)
+    monkeypatch.setattr(trial_ranking, "trials_of", yields)
     monkeypatch.setattr(
         ranking,
-        "shaking_ways",
+        "periodic_variants",
         lambda of, transfer, residual, *more, **given: (
-            seen.update(swings=residual) or shaking_ways(of, transfer, residual, *more, **given)
+            seen.update(swings=residual) or periodic_variants(of, transfer, residual, *more, **given)
         ),
     )
     ranked("contact", "plasticity", "base_motion")
@@ -170,7 +170,7 @@ def test_a_softer_object_may_meet_a_wall(monkeypatch: pytest.MonkeyPatch) -> Non
         asked.append(share)
         return [(soft, Plane(np.array([0.0, 0.0, 1.0]), -0.012))]
 
-    monkeypatch.setattr(tried, "walls", found)
+    monkeypatch.setattr(trial_ranking, "walls", found)
     (entry,) = rank(
         experiment, fitted.belief, experiment.window(SPACING, 0.5).evaluate(fitted.belief), SPACING,
         share=0.5, generator=np.random.default_rng(0), names=("contact",),
@@ -216,14 +216,15 @@ def test_numbers_are_told_by_the_names_of_the_model() -> None:
 
 
 def test_names_that_were_not_asked_for_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, name in ((tried, "walls"), (trials_of, "threshold_trials"), (trials_of, "hung_trials")):
+    tried = {trial_ranking: ["walls"], finite_trials: ["threshold_trials", "hanging_mass_trials"]}
+    for module, name in ((module, name) for module, names in tried.items() for name in names):
         monkeypatch.setattr(module, name, lambda *_a, **_k: pytest.fail("a trial that nobody asked for"))
     assert [entry.effect for entry in ranked("viscosity").entries] == ["viscosity"]
 
 
 def test_a_mass_is_ranked_at_the_place_between_those_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = {score.name for score in ranked("attached_mass").table.scores}
-    monkeypatch.setattr(ranking, "ways_between", lambda *_: [])
+    monkeypatch.setattr(ranking, "variants_between", lambda *_: [])
     corners = {score.name for score in ranked("attached_mass").table.scores}
     between = [label for label in tried - corners if not label.endswith(SINCE_THE_START)]
     assert corners < tried and len(between) == 1

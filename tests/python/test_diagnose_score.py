@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import chi2, f, kstest
 
 from mphygs.compare.allowance import Allowance, modulated_directions
-from mphygs.compare.projection import project_out
+from mphygs.compare.residual_projection import project_out
 from mphygs.diagnose.cone import cone_maximum, cone_weights, mixture_p_value
 from mphygs.diagnose.score import predicted_residual, score_candidates
 from mphygs.diagnose.score_table import Candidate

@@ -10,12 +10,12 @@ from diagnose_toy import COUNT, FRAMES, MARKERS, grid_blocks, smooth_tangents, t
 from mphygs.compare.allowance import Allowance, local_variance, modulated_directions
 from mphygs.compare.blocks import part_time_blocks
 from mphygs.compare.holm import holm
-from mphygs.compare.projection import project_out
+from mphygs.compare.residual_projection import project_out
 from mphygs.compare.verdict_floor import floor_test
 from mphygs.diagnose.block_scores import block_scores
 from mphygs.diagnose.held_out import gain_interval
 from mphygs.diagnose.score import score_candidates
-from mphygs.diagnose.trials import score_trials
+from mphygs.diagnose.trial_scores import score_trials
 
 
 def test_blocks_cover_parts_and_frames() -> None:

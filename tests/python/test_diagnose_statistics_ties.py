@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from diagnose_toy import COUNT, candidate, smooth_tangents, table_of, toy
-from mphygs.compare.projection import project_out
+from mphygs.compare.residual_projection import project_out
 from mphygs.diagnose.power import (
     detectable_along,
     detectable_length,

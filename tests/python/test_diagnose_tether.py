@@ -7,15 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mphygs.diagnose.starts import other_starts, start_of
-from mphygs.diagnose.ways import Way, late_ways, smooth_ways
+from mphygs.diagnose.effect_variants import EffectVariant, late_variants, smooth_variants
+from mphygs.diagnose.refit_starts import other_starts, refit_start
 from mphygs.model.belief import Belief
 from test_diagnose_late import resting
 
 
-def tether() -> tuple[Way, Belief]:
+def tether() -> tuple[EffectVariant, Belief]:
     predictor, belief = resting()
-    return smooth_ways(belief, predictor.body, names=["tether"])[0], belief
+    return smooth_variants(belief, predictor.body, names=["tether"])[0], belief
 
 
 def pull(start: Belief) -> np.ndarray:
@@ -40,7 +40,7 @@ def score_of(estimate: list[float], std: float) -> SimpleNamespace:
 )
 def test_a_tether_pulls_as_its_springs_do(estimate: list[float], stiffness: float) -> None:
     way, belief = tether()
-    start = start_of(way, np.array(estimate), belief)
+    start = refit_start(way, np.array(estimate), belief)
     assert start["tether.k"].value == pytest.approx(stiffness)
     np.testing.assert_allclose(pull(start), way.scale * np.array(estimate[1:]), atol=1e-12)
     assert {p.key for p in start.free if p.key.startswith("tether.")} == {
@@ -72,6 +72,6 @@ def test_a_stiffness_that_the_estimate_does_not_tell_is_tried_from_nearer_by(
 
 def test_a_tether_that_came_late_starts_late() -> None:
     predictor, belief = resting()
-    way = late_ways(belief, predictor.body, names=["tether"])[0]
+    way = late_variants(belief, predictor.body, names=["tether"])[0]
     starts = other_starts(way, score_of([-9.0, 0.3, 0.0, -0.4], 0.5), belief)
     assert [start.term("tether").settings["at_rest"] for start in starts] == [False]

@@ -11,11 +11,11 @@ import torch
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, recorded
-from mphygs.diagnose import thresholds, tried
+from mphygs.diagnose import thresholds, trial_ranking
+from mphygs.diagnose.finite_trials import Trial
 from mphygs.diagnose.rank import rank
-from mphygs.diagnose.ranking import Entry
+from mphygs.diagnose.ranking import RankedEffect
 from mphygs.diagnose.thresholds import ABOUT, SHARES, threshold_trials
-from mphygs.diagnose.trials_of import Trial
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model import registry, user_effect
@@ -91,7 +91,7 @@ def scene(name: str, values: dict[str, float], stiffness: float = 6e4) -> tuple[
     return experiment, minimise(experiment.problem(SPACING), belief)
 
 
-def ranked(name: str, values: dict[str, float], *names: str, stiffness: float = 6e4) -> list[Entry]:
+def ranked(name: str, values: dict[str, float], *names: str, stiffness: float = 6e4) -> list[RankedEffect]:
     experiment, fitted = scene(name, values, stiffness)
     found = rank(
         experiment, fitted.belief, fitted.evaluation, SPACING,
@@ -221,14 +221,14 @@ def test_a_refit_begins_where_the_materials_give_way_too() -> None:
     values = [{"limit": limit, "k": k} for limit, k in ((0.1, 1e3), (0.1, 3e3), (0.2, 1e3))]
     trials = [Trial(spec.name, "", belief.with_effect(spec.name, v)) for v in values]
     scores = SimpleNamespace(drops=np.array([1.0, 2.0, 0.5]), shifts=np.array([[0.1, -0.2, 0.3]]))
-    starts = tried._others(spec, trials[1], trials, scores, belief)
+    starts = trial_ranking._others(spec, trials[1], trials, scores, belief)
     # Of each level the better strength.
     assert [s.values_of(spec.name) for s in starts] == [values[1], values[2]]
     moduli = [s[free].value / belief[free].value for s in starts]
     assert moduli == pytest.approx(np.exp([-0.2, 0.3]))
     # What only yields, or has no level, is begun from what was tried.
     for name in ("plasticity", "dead_band"):
-        assert tried._others(effect(name), trials[0], trials, scores, belief) == ()
+        assert trial_ranking._others(effect(name), trials[0], trials, scores, belief) == ()
 
 
 # ---- as it was before levels were scanned ------------------------------------------------------

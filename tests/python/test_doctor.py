@@ -10,7 +10,7 @@ from command_example import ETA, FRAMES, SPACING, TRUTH, answer, bar_part, call,
 from mphygs.capture.format import Known, Sensor, load_capture, save_capture
 from mphygs.commands import doctor
 from mphygs.commands import fit as fit_command
-from mphygs.fit.examination import leading_frequency, longest_gap
+from mphygs.fit.examination import longest_gap, track_frequency
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.identifiable import Identifiable
 from mphygs.fit.levenberg_marquardt import covariance
@@ -129,12 +129,12 @@ def test_gaps_and_frequencies() -> None:
     times = np.arange(200) / 100.0
     swing = np.where(times > 0.1, 1.0, 0.0) + 0.2 * np.sin(2 * np.pi * 6.0 * times)
     position = np.repeat(swing[:, None, None], 3, axis=2)
-    assert leading_frequency(position[20:], 100.0) == pytest.approx(6.0, abs=0.6)
+    assert track_frequency(position[20:], 100.0) == pytest.approx(6.0, abs=0.6)
     position[40:43] = np.nan
     # Drifting off is larger than the swing, and no swing.
     drift = 0.2 * times**2 + 0.05 * np.sin(2 * np.pi * 6.0 * times)
-    assert leading_frequency(np.repeat(drift[:, None, None], 3, axis=2), 100.0) == pytest.approx(6.0, abs=0.5)
-    assert leading_frequency(position[20:], 100.0) == pytest.approx(6.0, abs=0.6)
+    assert track_frequency(np.repeat(drift[:, None, None], 3, axis=2), 100.0) == pytest.approx(6.0, abs=0.5)
+    assert track_frequency(position[20:], 100.0) == pytest.approx(6.0, abs=0.6)
 
 
 def test_violent_motions_tell_nothing(capture: Path) -> None:

@@ -19,7 +19,7 @@ from extend_example import (
     step_of,
 )
 from mphygs.compare.allowance import Allowance
-from mphygs.extend import discover, ranked, separate, settle, simplest
+from mphygs.extend import discovery, model_selection, separating_motions, simplest_recordings, window_ranking
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.schedule import CONTRAST, about_its_scale
@@ -48,21 +48,22 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
 
     patches: dict[str, Callable] = {
         "refits_of": refits_of,
-        "refined": lambda _e, steps, *_, **__: steps[-1], "reconciled": lambda _e, step, _r: step,
-        "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "exchanged": lambda *_, **__: None,
+        "on_required_grid": lambda _e, steps, *_, **__: steps[-1], "reconciled": lambda _e, step, _r: step,
+        "mask_outliers": lambda *_: 0, "sequences_without_loads": lambda _e: (),
+        "with_effects_exchanged": lambda *_, **__: None,
         "candidate_rows": lambda *_: (), "undetermined": lambda *_: (), "bounded": lambda step, _e: step,
     }  # fmt: skip
     for name, function in patches.items():
-        monkeypatch.setattr(discover, name, function)
+        monkeypatch.setattr(discovery, name, function)
     seen_at: dict[str, Callable] = {
         "tractable_window": lambda *_: (0.06, near), "_from_afar": lambda *_: afar,
         "allowance_of": lambda *_, **__: own, "rank": rank,
     }  # fmt: skip
     for name, function in seen_at.items():
-        monkeypatch.setattr(ranked, name, function)
+        monkeypatch.setattr(window_ranking, name, function)
     steps = [step_of(excess_of(10.0))]
     unseen = SimpleNamespace(capture=SimpleNamespace(sequences=()), observations={})
-    discover.discover(unseen, plain_belief(), SPACING, start=steps)
+    discovery.discover_effects(unseen, plain_belief(), SPACING, start=steps)
     (belief, allowance), (seen, from_afar) = asked[0], begun[0]
     assert (belief, seen, from_afar) == ((SOFT, afar, True) if far else (STIFF, near, False))
     # From afar the grid's error is that of another motion.
@@ -71,16 +72,16 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
 
 def test_a_doubted_sigma_is_told_at_the_end_only() -> None:
     last = replace(step_of(assessment_of(3.0), added=()), compared=compared(3e-4, 1e-4))
-    told = discover._conclude([last], [], ["earlier"])
+    told = discovery._conclude([last], [], ["earlier"])
     assert told.warnings[0] == "earlier" and "sigma (0.1 mm" in told.warnings[1]
-    assert discover._conclude([last], [], ["earlier"], final=False).warnings == ("earlier",)
+    assert discovery._conclude([last], [], ["earlier"], final=False).warnings == ("earlier",)
 
 
 def test_numbers_that_were_found_about_another_scale_are_carried_with_its_bounds() -> None:
     """The first model was stiff, what was found is softer than its bounds allow."""
     assert STIFF[KEY].lower > SOFT[KEY].value
     first, found = (replace(step_of(assessment_of(2.0)), belief=belief) for belief in (STIFF, SOFT))
-    assert separate._without_last(first, found)[KEY] == SOFT[KEY]
+    assert separating_motions._without_last(first, found)[KEY] == SOFT[KEY]
     # Bounds that no scale gave are kept.
     stated = plain_belief().with_parameter(KEY, value=2e5, lower=1e5, upper=3e5)
     bare = plain_belief().with_parameter(KEY, value=5e4)
@@ -91,10 +92,12 @@ def test_numbers_that_were_found_about_another_scale_are_carried_with_its_bounds
 @pytest.mark.parametrize("free", [True, False])
 def test_all_recordings_take_the_scale_of_the_simplest(free: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     bare = step_of(excess_of(2.0))
-    monkeypatch.setattr(simplest, "step_at", lambda _e, belief, *_, **__: replace(bare, belief=belief))
+    monkeypatch.setattr(
+        simplest_recordings, "step_at", lambda _e, belief, *_, **__: replace(bare, belief=belief)
+    )
     first = STIFF.with_parameter(KEY, prior_mean=float(np.log(1e5)), prior_std=2.0)
     step = replace(bare, belief=SOFT.with_parameter(KEY, free=free))
-    p = simplest.among_all(SimpleNamespace(), first, step).belief[KEY]
+    p = simplest_recordings.compared_on_all(SimpleNamespace(), first, step).belief[KEY]
     value = 5e4 if free else 1e5
     assert (p.value, p.lower, p.upper) == pytest.approx((value, value / CONTRAST, value * CONTRAST))
 
@@ -106,7 +109,7 @@ def test_a_rival_is_tried_with_the_best_steps_materials(monkeypatch: pytest.Monk
         tried.extend(beliefs)
         return beliefs[1]
 
-    monkeypatch.setattr(settle, "closest", closest)
+    monkeypatch.setattr(model_selection, "best_fitting", closest)
     rival, best = (replace(step_of(excess_of(2.0)), belief=belief) for belief in (STIFF, SOFT))
-    nearest: Step | None = settle._nearest(None, rival, best)
+    nearest: Step | None = model_selection._nearest(None, rival, best)
     assert tried[0] == STIFF and nearest.belief[KEY] == SOFT[KEY]

@@ -26,15 +26,15 @@ from mphygs.capture.track_faults.tracks import Finding
 from mphygs.compare.noise import Observation
 from mphygs.compare.whitening import NoiseModel
 from mphygs.diagnose.held_out import GainInterval
-from mphygs.diagnose.ranking import Entry, Ranking
-from mphygs.extend import discover, grids, refits, settle, window
-from mphygs.extend.met_again import onward
+from mphygs.diagnose.ranking import RankedEffect, Ranking
+from mphygs.extend import discovery, first_window, grids, model_selection, refits
+from mphygs.extend.first_window import tractable_window
+from mphygs.extend.model_selection import selected_model
+from mphygs.extend.onset_transfer import growing_shares
 from mphygs.extend.refit import Refit
 from mphygs.extend.refits import promising, refits_of
 from mphygs.extend.seen_faults import fault_names, seen_faults
-from mphygs.extend.settle import settled
 from mphygs.extend.step import Step
-from mphygs.extend.window import tractable_window
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
@@ -105,9 +105,9 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         belief = start.with_parameter(KEY, value=1e6 * window.share)
         return solution_of(belief, window.evaluate(belief))
 
-    monkeypatch.setattr(window, "minimise", minimise)
-    monkeypatch.setattr(window, "find_scale", lambda _window, belief: belief)
-    monkeypatch.setattr(window, "unabsorbed", lambda *_, **__: 0.0)
+    monkeypatch.setattr(first_window, "minimise", minimise)
+    monkeypatch.setattr(first_window, "find_scale", lambda _window, belief: belief)
+    monkeypatch.setattr(first_window, "unabsorbed", lambda *_, **__: 0.0)
     return done
 
 
@@ -170,11 +170,11 @@ def test_what_may_be_the_grids_own_is_followed_over_more_frames(
         asked.append(share)
         return 3.6
 
-    monkeypatch.setattr(window, "unabsorbed", unabsorbed)
+    monkeypatch.setattr(first_window, "unabsorbed", unabsorbed)
     # 1.64 sigma: 1.3 beyond noise; 2.255: 2.02, more than half of what the grid may have.
     assert look(Frames(growing(4.1)))[0] == 0.55 and asked == [0.4, 0.55]
     # All of it may be the grid's: as many frames as there are windows for.
-    monkeypatch.setattr(window, "unabsorbed", lambda *_, **__: np.inf)
+    monkeypatch.setattr(first_window, "unabsorbed", lambda *_, **__: np.inf)
     assert look(Frames(growing(5.0)))[0] == 0.75
     # The next window is far off: something sets in that the model of the frames before does not have.
     share, solution = look(Frames(lambda fitted, seen: 9.0 if max(fitted, seen) > 0.5 else 1.6))
@@ -233,7 +233,7 @@ def test_a_model_with_an_effect_is_not_forgotten(fits: list[float], monkeypatch:
         scaled.append(belief)
         return belief
 
-    monkeypatch.setattr(window, "find_scale", find_scale)
+    monkeypatch.setattr(first_window, "find_scale", find_scale)
     look(Frames(growing(6.0)), added=("viscosity",))
     assert scaled == []
     look(Frames(growing(6.0)))
@@ -246,7 +246,7 @@ def test_a_model_with_an_effect_is_not_forgotten(fits: list[float], monkeypatch:
 def test_a_window_that_the_first_fit_passed_is_not_fitted_again(
     left: float, own: float, passed: bool, fits: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(window, "unabsorbed", lambda *_, **__: own)
+    monkeypatch.setattr(first_window, "unabsorbed", lambda *_, **__: own)
     experiment = Frames(lambda fitted, share: left if fitted <= 0.5 else 9.0)
     halfway = plain_belief().with_parameter(KEY, value=5e5)
     share, solution = look(experiment, halfway=halfway)
@@ -281,7 +281,7 @@ def test_a_model_that_is_far_off_from_the_start_is_seen_from_softer_materials() 
         # The bounds about the stiff one that was found are not theirs.
         belief = about_its_scale(belief)
         solution = solution_of(belief, evaluation_of(100.0 * misfit**2))
-        found = window.at_other_scales(experiment, (0.06, solution), SPACING)
+        found = first_window.at_other_scales(experiment, (0.06, solution), SPACING)
         assert all(s.belief[KEY].upper == s.belief[KEY].value * CONTRAST for s in found)
         return [s.belief[KEY].value for s in found]
 
@@ -302,7 +302,7 @@ def test_what_sets_in_later_is_not_seen_from_afar(later: float, fits: list[float
     share, solution = look(experiment)
     # Far off on the frames after, for the frames before were fitted.
     assert ratio(solution) > TRACTABLE and solution.reason == "seen from before"
-    assert window.at_other_scales(experiment, (share, solution), SPACING) == []
+    assert first_window.at_other_scales(experiment, (share, solution), SPACING) == []
 
 
 def test_other_recordings_are_seen_from_the_model_of_the_simplest(fits: list[float]) -> None:
@@ -310,7 +310,7 @@ def test_other_recordings_are_seen_from_the_model_of_the_simplest(fits: list[flo
     for others in (1.0, 30.0):
         experiment = Frames(lambda _fitted, seen: 20.0 * seen, whole=("easy",), others=others)
         share, solution = look(experiment, added=("viscosity",))
-        assert share == window.SEEN and fitted_share(solution.belief) == 1.0
+        assert share == first_window.SEEN and fitted_share(solution.belief) == 1.0
         assert solution.reason == "seen from the simplest" and fits == []
     # Nothing to be seen in their first frames: windows as usual.
     experiment = Frames(lambda fitted, seen: sets_in(0.45)(fitted, seen) if fitted < 1 else 1.0 + 5.0 * (
@@ -327,7 +327,7 @@ def test_a_misfit_of_others_that_is_small_is_small_whatever_the_simplest_do(fits
 def test_forgetting_puts_materials_at_the_middle_of_their_priors() -> None:
     belief = plain_belief(2).with_parameter(KEY, prior_mean=float(np.log(2e5)), prior_std=1.0)
     belief = belief.with_effect("viscosity", {"eta": 3.0})
-    found = window.forget(belief)
+    found = first_window.with_materials_at_prior(belief)
     assert found[KEY].value == pytest.approx(2e5)
     # No prior, or no material: kept.
     assert found["part0.density"] == belief["part0.density"]
@@ -336,8 +336,8 @@ def test_forgetting_puts_materials_at_the_middle_of_their_priors() -> None:
     narrow = about_its_scale(belief.with_parameter(KEY, value=1e7))
     assert narrow[KEY].lower == pytest.approx(1e7 / CONTRAST) and narrow[KEY].upper == 1e7 * CONTRAST
     assert narrow["part0.density"] == belief["part0.density"]
-    assert narrow[KEY].lower > 2e5 and window.forget(narrow)[KEY] == found[KEY]
-    again = about_its_scale(window.forget(narrow))
+    assert narrow[KEY].lower > 2e5 and first_window.with_materials_at_prior(narrow)[KEY] == found[KEY]
+    again = about_its_scale(first_window.with_materials_at_prior(narrow))
     assert again[KEY].lower == pytest.approx(2e5 / CONTRAST) and again[KEY].widest == narrow[KEY].widest
     # Never beyond those that it had from the start.
     stated = belief.with_parameter(KEY, value=2e5, lower=1e5, upper=5e5)
@@ -362,16 +362,16 @@ def test_forgetting_puts_materials_at_the_middle_of_their_priors() -> None:
 def test_a_motion_is_followed_from_the_window_to_all_frames(
     share: float, kind: str, shares: list[float]
 ) -> None:
-    assert onward(share, kind) == pytest.approx(shares)
+    assert growing_shares(share, kind) == pytest.approx(shares)
 
 
 # ---- what is tried ----------------------------------------------------------------------------
-def ranking_of(*entries: Entry, misfit: float = 10.0, decoy: float = 0.0) -> Ranking:
+def ranking_of(*entries: RankedEffect, misfit: float = 10.0, decoy: float = 0.0) -> Ranking:
     """A ranking at a misfit [sigma] of 1000 rows."""
     return Ranking(entries, 1000.0 * misfit**2, 1000, None, None, decoy)
 
 
-def names(entries: list[Entry]) -> list[str]:
+def names(entries: list[RankedEffect]) -> list[str]:
     return [entry.effect for entry in entries]
 
 
@@ -435,8 +435,8 @@ def kept(
     grid: float = SPACING,
     explained: bool = True,
 ) -> Step:
-    """What `settled` keeps; grid: that the best one is brought to, explained there or not; moved: what a
-    rival becomes on it."""
+    """What `selected_model` keeps; grid: that the best one is brought to, explained there or not; moved: what
+    a rival becomes on it."""
     asked: list[float] = []
 
     def refined(
@@ -452,9 +452,9 @@ def kept(
         asked.append(spacing)
         return moved
 
-    monkeypatch.setattr(settle, "refined", refined)
-    monkeypatch.setattr(settle, "on_grid", on_grid)
-    found = settled(ALONE, [step_of(assessment_of(20.0))], best, rivals, None, screening=True)
+    monkeypatch.setattr(model_selection, "on_required_grid", refined)
+    monkeypatch.setattr(model_selection, "on_grid", on_grid)
+    found = selected_model(ALONE, [step_of(assessment_of(20.0))], best, rivals, None, screening=True)
     assert set(asked) <= {grid}
     return found
 
@@ -527,10 +527,10 @@ def test_numbers_that_explain_far_more_are_fitted(monkeypatch: pytest.MonkeyPatc
         asked.append(steps[-1].added[0])
         return steps[-1]
 
-    monkeypatch.setattr(settle, "refined", refined)
+    monkeypatch.setattr(model_selection, "on_required_grid", refined)
     first = step_of(assessment_of(20.0))
     still, wind = model("air_drag", 1.5, 2), model("wind", 0.05, 5)
-    found = settled(ALONE, [first], wind, [still], None, screening=True)
+    found = selected_model(ALONE, [first], wind, [still], None, screening=True)
     assert (found.added, found.ties, asked) == (("wind",), (), ["wind"])
 
 
@@ -550,32 +550,37 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
 
     there = Problem()
 
-    def less_the_change(_experiment: object, best: Step) -> Problem:
+    def corrected_coarse_problem(_experiment: object, best: Step) -> Problem:
         assert best.lender == 0.5 * SPACING
         return there
 
-    def carried_over(_experiment: object, problem: Problem, step: Step, best: Step, _report: object) -> Step:
+    def rival_on_coarse_grid(
+        _experiment: object, problem: Problem, step: Step, best: Step, _report: object
+    ) -> Step:
         assert problem is there
         went.append(("carried over", step.belief[KEY].value))
         return replace(step, spacing=best.spacing, lender=best.lender, assessment=excess_of(left))
 
-    def lent(_experiment: object, step: Step, spacing: float, lender: float, _report: object) -> Step:
+    def fitted_by_coarse_jacobians(
+        _experiment: object, step: Step, spacing: float, lender: float, _report: object
+    ) -> Step:
         assert (spacing, lender) == (0.4 * SPACING, 0.5 * SPACING)
         went.append(("fitted", step.belief[KEY].value))
         return replace(step, assessment=excess_of(0.045))
 
-    def refined(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
+    def on_required_grid(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
         return replace(steps[-1], spacing=0.4 * SPACING, lender=0.5 * SPACING)
 
     def at(step: Step, young: float) -> Step:
         return replace(step, belief=step.belief.with_parameter(KEY, value=young))
 
-    stand_ins = (less_the_change, carried_over, lent, refined)
-    for function in stand_ins:
-        monkeypatch.setattr(settle, function.__name__, function)
+    for function in (
+        corrected_coarse_problem, rival_on_coarse_grid, fitted_by_coarse_jacobians, on_required_grid,
+    ):  # fmt: skip
+        monkeypatch.setattr(model_selection, function.__name__, function)
     best, rival = at(model("viscosity", 0.05, 2), 6e4), at(model("fibre", 0.06, 2), 5e4)
     first = [step_of(assessment_of(20.0))]
-    found = settled(ALONE, first, best, [rival], None, screening=True)
+    found = selected_model(ALONE, first, best, [rival], None, screening=True)
     # It begins with the materials that the best one found there, where its own fit worse,
     assert went[0] == ("carried over", 6e4)
     if left > 0.05:
@@ -588,7 +593,7 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     # and with its own, where they fit better.
     costs[5e4] = 0.5
     went.clear()
-    settled(ALONE, first, best, [rival], None, screening=True)
+    selected_model(ALONE, first, best, [rival], None, screening=True)
     assert went[0] == ("carried over", 5e4)
 
 
@@ -619,11 +624,17 @@ def test_only_what_pays_sets_a_bound_for_others(
     chi_squares = {"base_motion": 400.0, "relaxation": 700.0}
     bounds: dict[str, float] = {}
 
-    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+    def start_refit(_e: object, _b: object, entry: RankedEffect, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect], rows))
 
     def finish_refit(
-        _e: object, _b: object, _c: object, entry: Entry, begun: Solution, *_: object, **options: object
+        _e: object,
+        _b: object,
+        _c: object,
+        entry: RankedEffect,
+        begun: Solution,
+        *_: object,
+        **options: object,
     ) -> object:
         bounds[entry.effect] = options["hopeless"]
         gain = GainInterval(1.0, 0.5, 1.5, 10) if pays else None
@@ -690,11 +701,13 @@ def test_near_the_floor_who_is_behind_is_asked_again_at_its_place(
     finished: list[str] = []
     heavy = plain_belief().with_effect("attached_mass", {"m": 1e-3}, {"place": [0.0, 0.0, 0.01]})
 
-    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+    def start_refit(_e: object, _b: object, entry: RankedEffect, *_: object, **__: object) -> Solution:
         belief = heavy if entry.effect == "attached_mass" else plain_belief()
         return solution_of(belief, evaluation_of(float(chi_squares[entry.effect]), 100))
 
-    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> Refit:
+    def finish_refit(
+        _e: object, _b: object, _c: object, entry: RankedEffect, *_: object, **__: object
+    ) -> Refit:
         finished.append(entry.effect)
         return refit_of(gain=GainInterval(1.0, 0.5, 1.5, 10), drop=1e4, assessment=assessment_of(worst))
 
@@ -726,7 +739,7 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     chi_squares["gravity"] = 600.0
     brought: list[list[str]] = []
 
-    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+    def start_refit(_e: object, _b: object, entry: RankedEffect, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect]))
 
     def onward(_e: object, _share: float, begun: list[tuple], *_: object) -> list[tuple]:
@@ -734,14 +747,14 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
         return begun
 
     def finish_refit(
-        _e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object
+        _e: object, _b: object, _c: object, entry: RankedEffect, *_: object, **__: object
     ) -> SimpleNamespace:
         good = pays or entry.effect == "base_motion"
         return SimpleNamespace(entry=entry, pays=good, may_pay=False, assessment=assessment_of(2.0))
 
     for function in (start_refit, finish_refit):
         monkeypatch.setattr(refits, function.__name__, function)
-    monkeypatch.setattr(refits, "followed_onward", onward)
+    monkeypatch.setattr(refits, "continued_to_all_frames", onward)
     monkeypatch.setattr(refits, "_hopeless", lambda *_: np.inf)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (0.25, solution_of(plain_belief(), evaluation_of(1e6)))
@@ -763,11 +776,13 @@ def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
     chi_squares = {"base_motion": 400.0, "tether": 560.0}
     finished: list[str] = []
 
-    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **options: object) -> Solution:
+    def start_refit(_e: object, _b: object, entry: RankedEffect, *_: object, **options: object) -> Solution:
         assert options["iterations"] == (refits.FIRST_NEAR if misfit < refits.LINEAR else refits.FIRST)
         return solution_of(plain_belief(), evaluation_of(chi_squares[entry.effect], 100))
 
-    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> object:
+    def finish_refit(
+        _e: object, _b: object, _c: object, entry: RankedEffect, *_: object, **__: object
+    ) -> object:
         finished.append(entry.effect)
         gain = GainInterval(1.0, 0.5, 1.5, 10) if pays else None
         return refit_of(gain=gain, chi_square=chi_squares[entry.effect], drop=1e4 if pays else 1.0)
@@ -791,10 +806,12 @@ def test_near_the_floor_those_after_the_third_are_held_by_what_they_leave_beyond
     chi_squares = {"tether": 120, "wind": 121, "fibre": 122, "gravity": 124, "air_drag": 126}
     finished: list[str] = []
 
-    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> Solution:
+    def start_refit(_e: object, _b: object, entry: RankedEffect, *_: object, **__: object) -> Solution:
         return solution_of(plain_belief(), evaluation_of(float(chi_squares[entry.effect]), 100))
 
-    def finish_refit(_e: object, _b: object, _c: object, entry: Entry, *_: object, **__: object) -> Refit:
+    def finish_refit(
+        _e: object, _b: object, _c: object, entry: RankedEffect, *_: object, **__: object
+    ) -> Refit:
         finished.append(entry.effect)
         return refit_of(gain=GainInterval(1.0, 0.5, 1.5, 10), drop=1e4)
 
@@ -811,7 +828,7 @@ def test_near_the_floor_those_after_the_third_are_held_by_what_they_leave_beyond
 def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[str] = []
 
-    def start_refit(_e: object, _b: object, entry: Entry, *_: object, **__: object) -> None:
+    def start_refit(_e: object, _b: object, entry: RankedEffect, *_: object, **__: object) -> None:
         begun.append(entry.effect)
         return solution_of(plain_belief(), evaluation_of(2e3)) if entry.effect == "air_drag" else None
 
@@ -845,7 +862,7 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
     def start_refit(
         _e: object,
         before: Solution,
-        entry: Entry,
+        entry: RankedEffect,
         *_: object,
         hopeless: float,
         iterations: int,
@@ -864,14 +881,14 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
     monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
-    monkeypatch.setattr(refits, "at_their_places", at_their_places)
+    monkeypatch.setattr(refits, "with_places_fitted", at_their_places)
     lent: list[tuple[int, int, float]] = []
 
     def with_lent(_e: object, begun: list, *_: object, iterations: int, accuracy: float) -> list:
         lent.append((len(begun), iterations, accuracy))
         return begun
 
-    monkeypatch.setattr(refits, "with_lent_materials", with_lent)
+    monkeypatch.setattr(refits, "restarted_from_best_materials", with_lent)
     generator = np.random.default_rng(0)
     first = 1.0, solution_of(plain_belief(), evaluation_of(2e4))
     ranking = ranking_of(*(entry_of(name, 1e4) for name in chi_squares))
@@ -893,7 +910,9 @@ def test_less_is_hoped_for_where_one_is_at_the_noise(best: float, behind: bool) 
     assert not refits._far_behind(entry_of("gravity", 4.5e3), ranking, begun)
 
 
-def begun_at(chi_square: float, promised: float, kind: str = "smooth") -> tuple[float, Entry, Solution]:
+def begun_at(
+    chi_square: float, promised: float, kind: str = "smooth"
+) -> tuple[float, RankedEffect, Solution]:
     """A refit that was begun: what it left, and what its tangents had promised to take."""
     entry = entry_of("mass_damping", promised, kind=kind)
     return chi_square, entry, solution_of(plain_belief(), evaluation_of(chi_square))
@@ -942,18 +961,19 @@ def test_what_explains_too_little_is_not_kept(
     whole = (1.0, first.solution)
     patches: dict[str, Callable] = {
         "candidate_rows": lambda *_: (), "undetermined": lambda *_: (), "bounded": lambda step, _e: step,
-        "ranked": lambda *_, **__: (whole, False, ranking_of()), "refits_of": refits_of,
-        "choose": lambda refits: (refits[0], []),
-        "step_of": lambda *_: found, "settled": lambda *_, **__: found, "pruned": lambda _e, step, *_: step,
-        "reconciled": lambda _e, step, _r: step, "refined": lambda _e, steps, *_, **__: steps[-1],
-        "mask_outliers": lambda *_: 0, "without_loads": lambda _e: (), "polished": lambda _e, step, _r: step,
-        "finely": lambda _e, step, _r: step,
+        "ranked_on_window": lambda *_, **__: (whole, False, ranking_of()), "refits_of": refits_of,
+        "best_and_rivals": lambda refits: (refits[0], []),
+        "step_of": lambda *_: found, "selected_model": lambda *_, **__: found,
+        "with_effects_pruned": lambda _e, step, *_: step,
+        "reconciled": lambda _e, step, _r: step, "on_required_grid": lambda _e, steps, *_, **__: steps[-1],
+        "mask_outliers": lambda *_: 0, "sequences_without_loads": lambda _e: (),
+        "converged_fit": lambda _e, step, _r: step, "finely": lambda _e, step, _r: step,
         "with_budget": lambda _e, step, _r, **_: step, "screening_spacing": lambda _c: SPACING,
     }  # fmt: skip
     for name, function in patches.items():
-        monkeypatch.setattr(discover, name, function)
+        monkeypatch.setattr(discovery, name, function)
     said: list[str] = []
-    loop = discover.discover(
+    loop = discovery.discover_effects(
         UNSEEN, plain_belief(), SPACING, start=[first], report=said.append
     )
     assert [step.added for step in loop.steps] == ([(), ("fibre",)] if kept else [()])
@@ -985,17 +1005,17 @@ def test_a_second_effect_that_leaves_most_is_not_followed_by_a_third(
         looked.append(1)
         return (1.0, steps[-1].solution), False, ranking_of()
 
-    monkeypatch.setattr(discover, "ranked", ranked)
-    monkeypatch.setattr(discover, "refits_of", lambda *_, **__: [])
-    monkeypatch.setattr(discover, "refined", lambda _e, steps, *_, **__: steps[-1])
-    monkeypatch.setattr(discover, "reconciled", lambda _e, step, _r: step)
-    monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
-    monkeypatch.setattr(discover, "without_loads", lambda _e: ())
-    monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
-    monkeypatch.setattr(discover, "undetermined", lambda *_: ())
-    monkeypatch.setattr(discover, "bounded", lambda step, _e: step)
+    monkeypatch.setattr(discovery, "ranked_on_window", ranked)
+    monkeypatch.setattr(discovery, "refits_of", lambda *_, **__: [])
+    monkeypatch.setattr(discovery, "on_required_grid", lambda _e, steps, *_, **__: steps[-1])
+    monkeypatch.setattr(discovery, "reconciled", lambda _e, step, _r: step)
+    monkeypatch.setattr(discovery, "mask_outliers", lambda *_: 0)
+    monkeypatch.setattr(discovery, "sequences_without_loads", lambda _e: ())
+    monkeypatch.setattr(discovery, "candidate_rows", lambda *_: ())
+    monkeypatch.setattr(discovery, "undetermined", lambda *_: ())
+    monkeypatch.setattr(discovery, "bounded", lambda step, _e: step)
     # A loop that is resumed stops where it would have.
-    found = discover.discover(UNSEEN, plain_belief(), SPACING, start=steps)
+    found = discovery.discover_effects(UNSEEN, plain_belief(), SPACING, start=steps)
     assert found.verdict == "unknown" and len(looked) == goes_on
 
 
@@ -1020,21 +1040,21 @@ def test_a_model_that_ends_the_loop_unexplained_is_not_pruned(
     rounds = iter([[pays]])
     patches: dict[str, Callable] = {
         "candidate_rows": lambda *_: (), "undetermined": lambda *_: (), "bounded": lambda step, _e: step,
-        "ranked": lambda *_, **__: ((1.0, steps[-1].solution), False, ranking_of()),
+        "ranked_on_window": lambda *_, **__: ((1.0, steps[-1].solution), False, ranking_of()),
         "refits_of": lambda *_, **__: next(rounds, []),
-        "choose": lambda refits: (refits[0], []), "step_of": lambda *_: last,
-        "settled": lambda *_, **__: last, "without_loads": lambda _e: loads,
-        "pruned": lambda _e, step, *_: pruned.append(step.added[0]) or step,
-        "reconciled": lambda _e, step, _r: step, "refined": lambda _e, steps, *_, **__: steps[-1],
-        "mask_outliers": lambda *_: 0, "polished": lambda _e, step, _r: step,
+        "best_and_rivals": lambda refits: (refits[0], []), "step_of": lambda *_: last,
+        "selected_model": lambda *_, **__: last, "sequences_without_loads": lambda _e: loads,
+        "with_effects_pruned": lambda _e, step, *_: pruned.append(step.added[0]) or step,
+        "reconciled": lambda _e, step, _r: step, "on_required_grid": lambda _e, steps, *_, **__: steps[-1],
+        "mask_outliers": lambda *_: 0, "converged_fit": lambda _e, step, _r: step,
         "finely": lambda _e, step, _r: step, "with_budget": lambda _e, step, _r, **_: step,
         "screening_spacing": lambda _c: SPACING,
-        "exchanged": lambda *_, **__: None, "narrowed": lambda _e, step, _r: step,
+        "with_effects_exchanged": lambda *_, **__: None, "with_simpler_effects": lambda _e, step, _r: step,
         "explains": lambda *_: False,
     }  # fmt: skip
     for name, function in patches.items():
-        monkeypatch.setattr(discover, name, function)
-    discover.discover(UNSEEN, plain_belief(), SPACING, start=steps)
+        monkeypatch.setattr(discovery, name, function)
+    discovery.discover_effects(UNSEEN, plain_belief(), SPACING, start=steps)
     assert pruned == (["wind"] if asked else [])
 
 
@@ -1053,18 +1073,18 @@ def test_a_step_that_was_kept_is_not_asked_again_for_its_grid(
 
     done = assessment_of(1.0, adequate=True)
     steps = [replace(step_of(done, added=names), warnings=(f"of {names}",)) for names in added]
-    monkeypatch.setattr(discover, "refined", refined)
-    monkeypatch.setattr(discover, "polished", lambda _e, step, _r: step)
-    monkeypatch.setattr(discover, "finely", lambda _e, step, _r: step)
-    monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
-    monkeypatch.setattr(discover, "readmitted", lambda _e, step, _r: step)
-    monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)
-    monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
-    monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
-    monkeypatch.setattr(discover, "undetermined", lambda *_: ())
-    monkeypatch.setattr(discover, "bounded", lambda step, _e: step)
+    monkeypatch.setattr(discovery, "on_required_grid", refined)
+    monkeypatch.setattr(discovery, "converged_fit", lambda _e, step, _r: step)
+    monkeypatch.setattr(discovery, "finely", lambda _e, step, _r: step)
+    monkeypatch.setattr(discovery, "with_budget", lambda _e, step, _r, **_: step)
+    monkeypatch.setattr(discovery, "with_tracks_readmitted", lambda _e, step, _r: step)
+    monkeypatch.setattr(discovery, "screening_spacing", lambda _capture: SPACING)
+    monkeypatch.setattr(discovery, "sequences_without_loads", lambda _experiment: ())
+    monkeypatch.setattr(discovery, "candidate_rows", lambda *_: ())
+    monkeypatch.setattr(discovery, "undetermined", lambda *_: ())
+    monkeypatch.setattr(discovery, "bounded", lambda step, _e: step)
     experiment = UNSEEN
-    found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
+    found = discovery.discover_effects(experiment, plain_belief(), SPACING, start=steps, names=())
     assert len(went) == asked
     assert found.steps == tuple(steps)
     assert found.warnings == tuple(f"of {names}" for names in added)
@@ -1077,18 +1097,18 @@ def test_an_exchange_that_explains_no_longer_is_not_made(
     near = assessment_of(1.06)
     steps = [step_of(near, added=names) for names in ((), ("viscosity",), ("gravity",))]
     other = [replace(step_of(assessment_of(worst), added=("wind",)), dropped=("viscosity",))]
-    monkeypatch.setattr(discover, "exchanged", lambda *_, **__: other.pop() if other else None)
-    for name in ("polished", "finely", "reconciled"):
-        monkeypatch.setattr(discover, name, lambda _e, step, _r: step)
-    monkeypatch.setattr(discover, "with_budget", lambda _e, step, _r, **_: step)
-    monkeypatch.setattr(discover, "screening_spacing", lambda _capture: SPACING)
-    monkeypatch.setattr(discover, "without_loads", lambda _experiment: ())
-    monkeypatch.setattr(discover, "candidate_rows", lambda *_: ())
-    monkeypatch.setattr(discover, "undetermined", lambda *_: ())
-    monkeypatch.setattr(discover, "bounded", lambda step, _e: step)
-    monkeypatch.setattr(discover, "mask_outliers", lambda *_: 0)
+    monkeypatch.setattr(discovery, "with_effects_exchanged", lambda *_, **__: other.pop() if other else None)
+    for name in ("converged_fit", "finely", "reconciled"):
+        monkeypatch.setattr(discovery, name, lambda _e, step, _r: step)
+    monkeypatch.setattr(discovery, "with_budget", lambda _e, step, _r, **_: step)
+    monkeypatch.setattr(discovery, "screening_spacing", lambda _capture: SPACING)
+    monkeypatch.setattr(discovery, "sequences_without_loads", lambda _experiment: ())
+    monkeypatch.setattr(discovery, "candidate_rows", lambda *_: ())
+    monkeypatch.setattr(discovery, "undetermined", lambda *_: ())
+    monkeypatch.setattr(discovery, "bounded", lambda step, _e: step)
+    monkeypatch.setattr(discovery, "mask_outliers", lambda *_: 0)
     experiment = UNSEEN
-    found = discover.discover(experiment, plain_belief(), SPACING, start=steps, names=())
+    found = discovery.discover_effects(experiment, plain_belief(), SPACING, start=steps, names=())
     assert (found.verdict, found.effects) == ("missing", effects)
 
 
@@ -1112,7 +1132,7 @@ def test_the_verdict(
 ) -> None:
     steps = [step_of(assessment_of(9.0), added=names) for names in added]
     steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=adequate))
-    found = discover._conclude(steps, [], ["a warning"])
+    found = discovery._conclude(steps, [], ["a warning"])
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.steps == tuple(steps) and found.warnings == ("a warning",)
 
@@ -1131,7 +1151,7 @@ def test_faults_that_the_tracks_show_are_concluded(
     steps = [step_of(assessment_of(9.0), added=names) for names in added]
     steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=ratio < 1.1))
     swaps, gaps = Finding("label_swaps", "2 and 3"), Finding("zero_gaps", "5")
-    found = discover._conclude(steps, [], [], {"a": [swaps], "b": [swaps, gaps]})
+    found = discovery._conclude(steps, [], [], {"a": [swaps], "b": [swaps, gaps]})
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.warnings == ("'a': label_swaps: 2 and 3", "'b': label_swaps: 2 and 3", "'b': zero_gaps: 5")
 
@@ -1148,6 +1168,6 @@ def test_a_jitter_of_all_markers_beyond_the_stated_noise_is_a_fault() -> None:
 
 def test_a_noise_that_nothing_reaches_is_said_to_be_too_large() -> None:
     for ratio, said in ((0.1, True), (0.7, False)):
-        found = discover._conclude([step_of(assessment_of(ratio, adequate=True), added=())], [], [])
+        found = discovery._conclude([step_of(assessment_of(ratio, adequate=True), added=())], [], [])
         assert found.verdict == "adequate"
         assert [("sigma may be 10 times too large" in line) for line in found.warnings] == [True] * said

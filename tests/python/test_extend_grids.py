@@ -21,9 +21,9 @@ from extend_example import (
 )
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose import grid_error
-from mphygs.extend import finer, grids
-from mphygs.extend import met_again as meeting
-from mphygs.extend import probe as probing
+from mphygs.extend import coarse_grid_search as probing
+from mphygs.extend import finer_grid, grids
+from mphygs.extend import onset_transfer as meeting
 from mphygs.extend.step import Step, staying
 from mphygs.extend.steps import restored, state_of, step_at
 from mphygs.fit.experiment import Experiment
@@ -211,7 +211,7 @@ def test_missing_physics_stays_on_a_finer_grid_and_the_grids_error_falls(hidden:
     assert coarse.assessment.worst > 1.2 and not coarse.persists
     # Once may be a grid that is too coarse to converge; twice is none.
     assert once.persists is (hidden > 0.0) and not once.stays
-    fine = finer.finer(experiment, once)
+    fine = finer_grid.on_finer_grid(experiment, once)
     assert fine.stays is (hidden > 0.0)
     if hidden:
         # No budget excuses it, now or when the loop is resumed.
@@ -259,7 +259,7 @@ def test_a_fit_on_a_finer_grid_goes_on_where_it_may_come_near_the_floor(
     )
     monkeypatch.setattr(grids, "minimise", minimise)
     monkeypatch.setattr(grids, "simulable", lambda _problem, belief: belief)
-    monkeypatch.setattr(grids, "lender_of", lambda *_: None)
+    monkeypatch.setattr(grids, "jacobian_source", lambda *_: None)
     monkeypatch.setattr(grids, "with_tangents", lambda _experiment, compared, *_: compared)
     step = step_of(assessment_of(2.9), added=("air_drag",), spacing=COARSE)
     found = grids.on_grid(experiment, step, FINE)
@@ -351,7 +351,7 @@ def test_no_tangents_are_asked_of_what_they_cannot_excuse_on_a_grid_that_is_left
     monkeypatch.setattr(grids, "on_grid", lambda *_: done)
     first = step_of(assessment_of(20.0), spacing=trying())
     step = step_of(assessment_of(worst), added=("wind",), spacing=trying())
-    assert grids.refined(scene()[0], [first, step], None, screening=True) is done
+    assert grids.on_required_grid(scene()[0], [first, step], None, screening=True) is done
     assert asked == ([trying()] if tangents else [])
 
 
@@ -387,7 +387,7 @@ def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:
     assert kept.assessment.ratio == rival.assessment.ratio
     # what one stiffness absorbs is one degree of freedom
     assert kept.assessment.floor.degrees == rival.assessment.floor.degrees - len(FREE)
-    assert grids.refined(experiment, [before, rival], None, screening=False).assessment.adequate
+    assert grids.on_required_grid(experiment, [before, rival], None, screening=False).assessment.adequate
 
 
 @pytest.mark.parametrize("worst", [1.05, 1.2, 1.7])
@@ -397,7 +397,7 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
     experiment, truth = scene()
     own, lent = (experiment.compare(truth, spacing) for spacing in (deciding(), trying()))
     monkeypatch.setattr(Experiment, "assess", lambda *_: SimpleNamespace(worst=worst))
-    found = finer.with_tangents(
+    found = finer_grid.with_tangents(
         experiment, experiment.compare(truth, deciding(), jacobian=False), truth, deciding()
     )
     for name, item in found.items():
@@ -412,7 +412,7 @@ def test_the_tangents_on_all_frames_are_the_coarse_grids_where_they_decide_nothi
 
     monkeypatch.setattr(experiment.predictor("a", trying()), "predict", unstable)
     experiment.predictor("a", trying()).forget()
-    kept = finer.with_tangents(experiment, found, truth, deciding())
+    kept = finer_grid.with_tangents(experiment, found, truth, deciding())
     assert np.array_equal(kept["a"].jacobian, own["a"].jacobian, equal_nan=True)
 
 
@@ -420,7 +420,7 @@ def test_a_gross_misfit_asks_for_no_tangents_on_all_frames(monkeypatch: pytest.M
     experiment, truth = scene()
     without = experiment.compare(truth, COARSE, jacobian=False)
     monkeypatch.setattr(Experiment, "assess", lambda *_: SimpleNamespace(worst=LARGEST_GRID_ERROR))
-    assert finer.with_tangents(experiment, without, truth, COARSE) is without
+    assert finer_grid.with_tangents(experiment, without, truth, COARSE) is without
     assert without["a"].jacobian.shape[-1] == 0
     gross = replace(step_of(assessment_of(LARGEST_GRID_ERROR)), belief=truth, compared=without)
     assert grids.complete(experiment, gross) is gross
@@ -437,7 +437,7 @@ def test_no_step_where_another_grid_cannot_carry_the_model(monkeypatch: pytest.M
     monkeypatch.setattr(grids, "minimise", unstable)
     assert grids.on_grid(experiment, before, FINE, said.append) is None
     assert said[-1] == "grid of 7.5 mm: unstable at frame 3"
-    refined = grids.refined(experiment, [replace(before, spacing=trying())], None, screening=True)
+    refined = grids.on_required_grid(experiment, [replace(before, spacing=trying())], None, screening=True)
     assert refined.spacing == trying()
 
 
@@ -467,7 +467,7 @@ def told(
     after: Step | None = None,
     shares: tuple[float, float] | None = None,
 ) -> list:
-    """What `refined` does with a step: ("grid", spacing), "rough" budget and "budget".
+    """What `on_required_grid` does with a step: ("grid", spacing), "rough" budget and "budget".
 
     after: the step on the finer grid; shares: discretisation and physics in the rough budget [m].
     """
@@ -490,7 +490,7 @@ def told(
     monkeypatch.setattr(grids, "known_budget", lambda one: bool(one.assessment.budget))
     monkeypatch.setattr(grids, "on_grid", on_grid)
     monkeypatch.setattr(grids, "with_budget", with_budget)
-    found = grids.refined(scene()[0], [step], None, screening=screening, tied=tied)
+    found = grids.on_required_grid(scene()[0], [step], None, screening=screening, tied=tied)
     expected = after if ("grid", deciding()) in done and after is not None else step
     assert found.belief is expected.belief and found.spacing == expected.spacing
     return done
@@ -544,7 +544,7 @@ def test_a_step_that_is_explained_or_far_off_is_left(monkeypatch: pytest.MonkeyP
 # ---- the grid for a search --------------------------------------------------------------------
 def probe(monkeypatch: pytest.MonkeyPatch, fine: Step, coarse: Step | None) -> Step:
     monkeypatch.setattr(probing, "on_grid", lambda _e, _s, spacing, _r, **_: coarse)
-    return probing.probed(scene()[0], fine, trying())
+    return probing.on_coarse_grid(scene()[0], fine, trying())
 
 
 def test_causes_are_looked_for_on_a_coarser_grid_that_has_the_same_misfit(
@@ -568,12 +568,12 @@ def test_a_search_on_a_coarser_grid_begins_where_the_model_was_on_it(monkeypatch
     near, far = (truth.with_parameter(FREE[0], value=6e4 * factor) for factor in (0.99, 1.5))
     for rough, now, expected in ((near, far, near), (far, near, near), (None, far, far)):
         here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, rough=rough)
-        probing.probed(experiment, here, COARSE)
+        probing.on_coarse_grid(experiment, here, COARSE)
         assert begun.pop() is expected
     # A model that has changed since begins where it is.
     fixed = near.with_parameter(FREE[0], free=False)
     other = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=far, rough=fixed)
-    probing.probed(experiment, other, COARSE)
+    probing.on_coarse_grid(experiment, other, COARSE)
     assert begun.pop() is far
 
 
@@ -617,19 +617,19 @@ def test_causes_of_the_others_misfit_are_looked_for_from_what_explains_the_simpl
         return whole
 
     monkeypatch.setattr(probing, "on_grid", on_grid)
-    monkeypatch.setattr(probing, "among_all", among_all)
-    assert probing.probed(Recordings(), here, coarse, simple=("s0",)) is whole
+    monkeypatch.setattr(probing, "compared_on_all", among_all)
+    assert probing.on_coarse_grid(Recordings(), here, coarse, simple=("s0",)) is whole
     assert went == [(("s0",), 1e3, coarse), (here.belief, alone)]
     # The simplest are not explained on that grid: nothing is seen from there.
     whole = replace(whole, assessment=assessment_of(1.2, 22.0))
-    assert probing.probed(Recordings(), here, coarse, simple=("s0",)) is here
+    assert probing.on_coarse_grid(Recordings(), here, coarse, simple=("s0",)) is here
 
     # Nor where that grid cannot carry the others.
     def unstable(*_: object) -> Step:
         raise SimulationError("unstable")
 
-    monkeypatch.setattr(probing, "among_all", unstable)
-    assert probing.probed(Recordings(), here, coarse, simple=("s0",)) is here
+    monkeypatch.setattr(probing, "compared_on_all", unstable)
+    assert probing.on_coarse_grid(Recordings(), here, coarse, simple=("s0",)) is here
 
 
 def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None:
@@ -644,10 +644,10 @@ def test_what_is_concluded_is_told_to_its_last_digits() -> None:
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
     best = step_at(experiment, truth, FINE, added=("viscosity",)).solution.evaluation.cost
     said: list[str] = []
-    after = grids.polished(experiment, near, said.append)
+    after = grids.converged_fit(experiment, near, said.append)
     assert after.solution.evaluation.cost < min(near.solution.evaluation.cost, best + 1e-6)
     assert after.explained and "last digits" in said[0]
-    again = grids.polished(experiment, after)
+    again = grids.converged_fit(experiment, after)
     assert again.belief[FREE[0]].value == pytest.approx(after.belief[FREE[0]].value, rel=1e-5)
 
 
@@ -655,22 +655,22 @@ def test_what_the_grid_excuses_is_excused_after_the_last_digits() -> None:
     experiment, truth = scene()
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
     known = grids.with_budget(experiment, near)
-    assert grids.known_budget(known) and grids.known_budget(grids.polished(experiment, known))
-    assert not grids.known_budget(grids.polished(experiment, near))
+    assert grids.known_budget(known) and grids.known_budget(grids.converged_fit(experiment, known))
+    assert not grids.known_budget(grids.converged_fit(experiment, near))
 
 
 def test_a_step_that_loses_its_floor_in_the_last_digits_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment, truth = scene()
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
     monkeypatch.setattr(experiment, "assess", lambda _compared: assessment_of(9.0))
-    assert grids.polished(experiment, near) is near
+    assert grids.converged_fit(experiment, near) is near
 
 
 def test_no_last_digits_where_the_grid_is_the_excuse() -> None:
     experiment, truth = scene()
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.03e4), FINE, added=("viscosity",))
     excused = replace(near, assessment=assessment_of(1.2, adequate=True))
-    assert grids.polished(experiment, excused) is excused
+    assert grids.converged_fit(experiment, excused) is excused
 
 
 # ---- what sets in, on another grid ------------------------------------------------------------
@@ -712,14 +712,14 @@ def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
         return truth.with_parameter(FREE[0], value=young["anew"])
 
     monkeypatch.setattr(type(experiment), "problem", lambda _self, _spacing: Asked())
-    monkeypatch.setattr(meeting, "placed", lambda _p, belief, **_: belief)
+    monkeypatch.setattr(meeting, "with_onset_fitted", lambda _p, belief, **_: belief)
     monkeypatch.setattr(meeting, "approached", approached)
-    monkeypatch.setattr(meeting, "followed", followed)
+    monkeypatch.setattr(meeting, "onset_refitted", followed)
     coarse = truth.with_parameter(FREE[0], value=young["direct"])
-    found = meeting.met_again(experiment, coarse, 0.5, object(), FINE)
+    found = meeting.onset_on_grid(experiment, coarse, 0.5, object(), FINE)
     assert found[FREE[0]].value == young[taken] and len(starts) == asked
     # Without a coarser grid to lend its Jacobians it begins from before.
-    assert meeting.met_again(experiment, coarse, 0.5, None, FINE)[FREE[0]].value == young["anew"]
+    assert meeting.onset_on_grid(experiment, coarse, 0.5, None, FINE)[FREE[0]].value == young["anew"]
 
 
 @pytest.mark.parametrize(
@@ -743,8 +743,8 @@ def test_what_is_concluded_is_told_of_a_fine_grid_where_it_leaves_less(
     if "spacing" in changes:
         changes = {"spacing": deciding() / 1.28}
     step = replace(step_of(assessment_of(here, adequate=True), spacing=deciding()), **changes)
-    after = there and step_of(assessment_of(there, adequate=True), spacing=deciding() / finer.FINER)
-    monkeypatch.setattr(grids, "finer", lambda *_: after)
+    after = there and step_of(assessment_of(there, adequate=True), spacing=deciding() / finer_grid.FINER)
+    monkeypatch.setattr(grids, "on_finer_grid", lambda *_: after)
     assert grids.finely(scene()[0], step) is (after if kept else step)
 
 
@@ -766,6 +766,6 @@ def test_no_finer_grid_is_asked_where_two_grids_say_that_it_would_be_too_little(
     monkeypatch.setattr(grids, "on_grid", lambda *_, **__: moved)
     monkeypatch.setattr(grids, "known_budget", lambda _step: False)
     monkeypatch.setattr(grids, "with_budget", lambda _e, step, *_, **__: step)
-    monkeypatch.setattr(grids, "finer", lambda *_: asked.append("finer"))
-    assert grids.refined(experiment, [first, last], None, screening=True) is moved
+    monkeypatch.setattr(grids, "on_finer_grid", lambda *_: asked.append("finer"))
+    assert grids.on_required_grid(experiment, [first, last], None, screening=True) is moved
     assert asked == ([] if beyond else ["finer"])

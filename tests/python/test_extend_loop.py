@@ -12,17 +12,17 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, SPACING, recorded
 from mphygs.capture.holds import Load
 from mphygs.diagnose.contact_search import Plane
-from mphygs.extend import discover as discover_module
-from mphygs.extend.discover import discover, first_fit
-from mphygs.extend.window import tractable_window
+from mphygs.extend import discovery as discover_module
+from mphygs.extend.discovery import discover_effects, first_fit
+from mphygs.extend.first_window import tractable_window
 from mphygs.fit import schedule
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.placement import masses_of_loads
-from mphygs.fit.schedule import TRACTABLE, Stage
+from mphygs.fit.schedule import TRACTABLE, ScheduleStage
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Settings
-from ways_example import with_wall
+from variants_example import with_wall
 
 FREE = ("part0.youngs_modulus",)
 YOUNG = 4e4
@@ -74,7 +74,7 @@ def test_what_is_gross_on_the_screening_grid_is_not_dwelt_on(monkeypatch: pytest
     experiment, belief, _ = late_floor(0.03, -0.0055)
     asked: list[float] = []
 
-    def fit(*_: object, plan: tuple[Stage, ...], **__: object) -> tuple[Solution, None]:
+    def fit(*_: object, plan: tuple[ScheduleStage, ...], **__: object) -> tuple[Solution, None]:
         asked[:] = [stage.gross for stage in plan]
         evaluation = experiment.problem(SPACING).evaluate(belief)
         return Solution(belief, evaluation, (evaluation.cost,), True, "kept"), None
@@ -97,7 +97,7 @@ def test_a_wall_alone_can_be_asked_for() -> None:
     # Made on another grid than the one that looks at it.
     walled = recorded(capture, with_wall(belief, Plane(normal, float(normal @ struck))), 0.0085)
     experiment = Experiment.of(walled, Settings(SPACING, workers=1))
-    found = discover(experiment, belief, SPACING, names=("contact",))
+    found = discover_effects(experiment, belief, SPACING, names=("contact",))
     first, last = found.steps
     assert last.added == ("contact",) and last.solution.belief.effects == ("contact",)
     assert last.assessment.worst < 0.2 * first.assessment.worst
@@ -134,7 +134,7 @@ def test_the_simplest_recording_is_explained_first_and_the_weight_then() -> None
     experiment, belief = hanging()
     said: list[str] = []
     names = ("viscosity", "mass_damping", "attached_mass", "gravity")
-    found = discover(experiment, belief, SPACING, names=names, report=said.append)
+    found = discover_effects(experiment, belief, SPACING, names=names, report=said.append)
     assert "first a: no load pulls there" in said
     assert any(line.startswith("seen from a: ") for line in said)
     assert [step.added for step in found.steps] == [(), ("viscosity",), ("attached_mass",)]

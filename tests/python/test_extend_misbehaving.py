@@ -11,7 +11,7 @@ import torch
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, SPACING, recorded
-from mphygs.extend.discover import discover
+from mphygs.extend.discovery import discover_effects
 from mphygs.fit.experiment import Experiment
 from mphygs.model import registry, user_effect
 from mphygs.model.belief import Belief
@@ -60,7 +60,7 @@ def misbehaving(request: pytest.FixtureRequest) -> Iterator[str]:
 
 def test_the_loop_goes_on_without_it(misbehaving: str) -> None:
     experiment, belief = viscous()
-    found = discover(experiment, belief, SPACING, names=("viscosity", misbehaving))
+    found = discover_effects(experiment, belief, SPACING, names=("viscosity", misbehaving))
     assert (found.verdict, found.effects) == ("missing", ("viscosity",))
     assert found.steps[-1].belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.1)
     rows = {row["effect"]: row for row in found.table}

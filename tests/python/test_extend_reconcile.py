@@ -10,7 +10,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.extend import finer
+from mphygs.extend import finer_grid
 from mphygs.extend.reconcile import on_all_frames, reconciled
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
@@ -74,7 +74,7 @@ def test_the_screening_grid_is_asked_first(monkeypatch: pytest.MonkeyPatch, damp
         return predict(self, *given, **named)
 
     monkeypatch.setattr(Predictor, "predict", counted)
-    monkeypatch.setattr(finer, "screening_spacing", lambda _capture: 1.4 * SPACING)
+    monkeypatch.setattr(finer_grid, "screening_spacing", lambda _capture: 1.4 * SPACING)
     after = reconciled(experiment, step, None)
     assert after.reconciled == (damping == 0.0)
     assert asked == ({1.4 * SPACING} if damping == 0.0 else {SPACING, 1.4 * SPACING})

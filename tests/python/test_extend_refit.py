@@ -17,7 +17,7 @@ from mphygs.compare.autoregression import Autoregression
 from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import rank
-from mphygs.diagnose.ranking import Entry
+from mphygs.diagnose.ranking import RankedEffect
 from mphygs.extend import refit
 from mphygs.extend.known_slopes import _evaluated, approached_from
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
@@ -28,7 +28,7 @@ from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
-from ways_example import with_wall
+from variants_example import with_wall
 
 FREE = ("part0.youngs_modulus",)
 ETA = 40.0
@@ -100,7 +100,7 @@ def test_only_a_wall_brings_materials_of_its_own() -> None:
 
 # ---- a bar that lacks viscosity ---------------------------------------------------------------
 @cache
-def scene() -> tuple[Experiment, Solution, Entry, Capture]:
+def scene() -> tuple[Experiment, Solution, RankedEffect, Capture]:
     """A viscous bar, the elastic model fitted to it, and what the ranking would say of viscosity."""
     capture = bar_capture(frames=40, fps=100.0, fit=(0, 24))
     sequence = replace(capture.sequence("a"), predict=(24, 40))
@@ -114,7 +114,7 @@ def scene() -> tuple[Experiment, Solution, Entry, Capture]:
 
 
 def begun(
-    *, hopeless: float = math.inf, iterations: int = 4, entry: Entry | None = None, share: float = 1.0
+    *, hopeless: float = math.inf, iterations: int = 4, entry: RankedEffect | None = None, share: float = 1.0
 ) -> tuple[Solution | None, list[str]]:
     experiment, before, usual, _ = scene()
     said: list[str] = []
@@ -287,7 +287,7 @@ def test_derivatives_of_other_frames_do_not_lead() -> None:
 
 
 @cache
-def heavier_towards_the_tip() -> tuple[Experiment, Solution, Entry]:
+def heavier_towards_the_tip() -> tuple[Experiment, Solution, RankedEffect]:
     """A bar whose density grows along it, the plain model fitted to it, and what the ranking says."""
     capture = bar_capture(frames=40, fps=100.0, fit=(0, 40))
     plain = bar_belief(capture, youngs_modulus=6e4, free=FREE)

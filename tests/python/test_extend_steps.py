@@ -16,8 +16,8 @@ from mphygs.capture.json_values import plain
 from mphygs.capture.record import Known
 from mphygs.capture.save import save_capture
 from mphygs.commands import fit
-from mphygs.extend.candidate_table import with_told
-from mphygs.extend.finer import finer
+from mphygs.extend.candidate_table import with_fitted_numbers
+from mphygs.extend.finer_grid import on_finer_grid
 from mphygs.extend.grids import with_budget
 from mphygs.extend.step import Step, from_grid_to_grid, known_budget
 from mphygs.extend.steps import (
@@ -33,9 +33,9 @@ from mphygs.extend.steps import (
 from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.boundary_share import boundary_columns
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import covariance, minimise
 from mphygs.fit.of_run import experiment_of
+from mphygs.fit.residual_correlation import widened_by_correlation
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of
 from mphygs.simulate.prediction import Settings
@@ -59,7 +59,7 @@ def test_a_coarse_grid_is_not_sure_of_the_stiffness() -> None:
     assert not plain.explained and misfit > 1.5
     spread, information, places = uncertainty(plain, experiment)
     assert not places
-    lasts = widened_by_lasting(experiment.problem(COARSE), plain.solution.evaluation, noise)
+    lasts = widened_by_correlation(experiment.problem(COARSE), plain.solution.evaluation, noise)
     assert lasts[0, 0] > noise[0, 0]
     assert spread == pytest.approx(noise * misfit**2 + lasts)
     # A boundary that pictures leave unsure adds to that, and is taken from what the measurements say.
@@ -163,7 +163,7 @@ def test_a_step_is_restored_with_the_grids_share() -> None:
 
 def test_a_step_is_restored_with_the_tangents_that_it_borrowed() -> None:
     experiment, step = bar()
-    lent = finer(experiment, replace(step, added=("viscosity",)))
+    lent = on_finer_grid(experiment, replace(step, added=("viscosity",)))
     assert lent.lender == COARSE != lent.spacing
     same(lent, again(experiment, lent))
 
@@ -204,7 +204,7 @@ def test_a_table_tells_what_was_added_as_its_step_does() -> None:
         {"effect": "tether", "estimate": {"k": 1e6, "anchor_x": 0.1}, "std": {"k": 2e-9, "anchor_x": 1e-3}},
         {"effect": "viscosity", "estimate": {"eta": 38.0}, "std": {"eta": 1.0}},
     ]
-    told = with_told(rows, parameters, ("tether",))
+    told = with_fitted_numbers(rows, parameters, ("tether",))
     assert told[0]["estimate"] == {"k": 9e5, "anchor_x": 0.1} and told[0]["std"] == {}
     assert told[1] == rows[1]
 

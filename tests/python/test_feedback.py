@@ -14,7 +14,7 @@ from mphygs.commands.options import _with_values
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
-from mphygs.simulate.measurement import measured
+from mphygs.simulate.measurement import with_measurement_faults
 from mphygs.simulate.prediction import Predictor, Settings
 
 SPACING, FRAMES, FPS = 0.01, 20, 80.0
@@ -217,7 +217,7 @@ def test_what_a_fault_shows_is_pulled_to_where_it_truly_was(effect: str, values:
     clean = predictor.pulled_by(position, 1.0).target(truth, timeline)
     faulty = truth.with_effect(effect, values)
     times, still = np.arange(FRAMES) / FPS, np.zeros_like(position)
-    shown = measured(faulty, [], times, position, still, np.zeros((*position.shape, 0)))[0]
+    shown = with_measurement_faults(faulty, [], times, position, still, np.zeros((*position.shape, 0)))[0]
     feedback = predictor.pulled_by(shown, 1.0)
     assert np.abs(feedback.target(truth, timeline) - clean).max() > 1e-3
     assert np.allclose(feedback.target(faulty, timeline), clean, atol=1e-12)

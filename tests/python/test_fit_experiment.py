@@ -13,7 +13,7 @@ from extend_example import SPACING, recorded, step_of
 from mphygs.capture.actuators import Tendon
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
-from mphygs.extend.simplest import among_all, without_loads
+from mphygs.extend.simplest_recordings import compared_on_all, sequences_without_loads
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.model.belief import Belief, Parameter
@@ -100,14 +100,16 @@ def test_what_one_experiment_leaves_out_the_other_does() -> None:
 # ---- the simplest recordings first ------------------------------------------------------------
 def test_the_simplest_recordings_are_those_without_a_load() -> None:
     made = experiment()
-    assert without_loads(made) == ("plain", "late")
-    assert without_loads(made.only(("plain", "late"))) == ()
-    assert without_loads(made.only(("pulled",))) == ()
-    assert without_loads(made.only(("pulled", "late"))) == ("late",)
+    assert sequences_without_loads(made) == ("plain", "late")
+    assert sequences_without_loads(made.only(("plain", "late"))) == ()
+    assert sequences_without_loads(made.only(("pulled",))) == ()
+    assert sequences_without_loads(made.only(("pulled", "late"))) == ("late",)
     # What pulls by numbers in a file is a load as well.
     pull = Tendon(np.ones(made.capture.sequence("late").frames), "pull", path=np.eye(3))
     driven = [replace(s, actuators=(pull,)) if s.name == "late" else s for s in made.capture.sequences]
-    assert without_loads(replace(made, capture=replace(made.capture, sequences=tuple(driven)))) == ("plain",)
+    assert sequences_without_loads(replace(made, capture=replace(made.capture, sequences=tuple(driven)))) == (
+        "plain",
+    )
 
 
 def released(belief: Belief, name: str, value: float) -> Belief:
@@ -123,7 +125,7 @@ def test_a_step_of_some_sequences_is_compared_on_all() -> None:
     belief = released(truth, "plain", 0.02).with_effect("viscosity", {"eta": 3.0})
     belief = belief.with_parameter("part0.density", value=900.0)
     found = replace(made_step(belief), added=("viscosity",), ties=("mass_damping",), dropped=("wind",))
-    step = among_all(made, first, found)
+    step = compared_on_all(made, first, found)
     assert step.dropped == ("wind",)
     assert (step.added, step.ties, step.spacing) == (("viscosity",), ("mass_damping",), SPACING)
     assert set(step.compared) == {"plain", "late", "pulled"}
@@ -143,12 +145,12 @@ def test_what_only_the_other_recordings_tell_is_back_at_its_prior() -> None:
     made, (_, truth) = experiment(), three_recordings()
     first = released(truth, "pulled", 0.04)
     held = released(truth, "pulled", 0.0).with_parameter("pulled.release_shift", free=False)
-    step = among_all(made, first, made_step(held))
+    step = compared_on_all(made, first, made_step(held))
     assert step.belief["pulled.release_shift"].value == 0.01
     assert step.belief["pulled.release_shift"].free
     # So is a number that is fitted in its logarithm.
     wide = truth.with_parameter(FREE[0], prior_mean=float(np.log(5e4)), prior_std=1.0)
-    step = among_all(made, wide, made_step(truth.with_parameter(FREE[0], free=False)))
+    step = compared_on_all(made, wide, made_step(truth.with_parameter(FREE[0], free=False)))
     assert step.belief[FREE[0]].value == pytest.approx(5e4)
 
 

@@ -19,7 +19,7 @@ from mphygs.fit.determined import SAYS_NOTHING
 from mphygs.fit.limits import Limits, narrowed_to_seen, with_bounds
 from mphygs.fit.one_sided import derivatives_hold, limits_of
 from mphygs.fit.run import load_run
-from mphygs.fit.tables import parameters_of, parameters_told
+from mphygs.fit.tables import parameter_lines, parameters_of
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -112,7 +112,7 @@ def tied(problem: Tied, k: float) -> tuple[Limits, dict[str, object]]:
     limits = limits_of(problem, belief, evaluation)
     information = evaluation.jacobian.T @ evaluation.jacobian
     known = narrowed_to_seen(belief.free, information, np.linalg.inv(information), limits)
-    return limits["tether.k"], parameters_told(belief, *known, 1.0, limits)["tether.k"]
+    return limits["tether.k"], parameter_lines(belief, *known, 1.0, limits)["tether.k"]
 
 
 def test_how_much_there_is_of_an_effect_is_told_as_a_bound_where_more_of_it_shows_no_more() -> None:

@@ -22,7 +22,7 @@ from mphygs.fit.run import Run, StageRecord, load_run
 from mphygs.fit.schedule import (
     SCREENING_ACCURACY,
     TRACTABLE,
-    Stage,
+    ScheduleStage,
     deciding_spacing,
     fit_belief,
     plan_of,
@@ -132,7 +132,7 @@ def test_a_fit_is_brought_onward_on_the_finer_grid_alone(monkeypatch: pytest.Mon
     settings = Settings(0.008, workers=1)
     experiment = Experiment.of(capture, settings)
     experiment.problem(0.008)
-    plan = (Stage("coarse", 0.012, 1.0, 2, 1e-3), Stage("fine", 0.008, 1.0, 3, 1e-4))
+    plan = (ScheduleStage("coarse", 0.012, 1.0, 2, 1e-3), ScheduleStage("fine", 0.008, 1.0, 3, 1e-4))
     # Every model counts as lost: where that is asked is what is looked at.
     monkeypatch.setattr(schedule, "LOST", 0.0)
     monkeypatch.setattr(schedule, "LOST_FROM", 0.0)
@@ -157,7 +157,10 @@ def test_a_fit_ends_at_what_is_lower_along_its_valley(monkeypatch: pytest.Monkey
     start = truth.with_parameter(FREE[0], value=6.1e4)
     monkeypatch.setattr(schedule, "lower_along", lambda _problem, _found: [truth])
     ends = []
-    for plan in ((Stage("fine", 0.008, 1.0, 0, 1.0),), (Stage("coarse", 0.008, 1.0, 0, 1.0),) * 2):
+    for plan in (
+        (ScheduleStage("fine", 0.008, 1.0, 0, 1.0),),
+        (ScheduleStage("coarse", 0.008, 1.0, 0, 1.0),) * 2,
+    ):
         solution, _ = fit_belief(
             capture, start, experiment.fitted, experiment.observations, settings, warm=True, plan=plan
         )
@@ -235,7 +238,7 @@ def test_a_run_is_fitted_by_the_plan_that_it_is_for(
     capture = recorded(capture, belief, 0.01)
     coarse = screening_spacing(capture)
     experiment = Experiment.of(capture, Settings(coarse, workers=1))
-    asked: list[tuple[Stage, ...]] = []
+    asked: list[tuple[ScheduleStage, ...]] = []
     monkeypatch.setattr(checkpointed, "fit_belief", lambda *_a, plan, **_k: asked.append(plan))
     run = Run(
         folder=tmp_path, options={}, seed=0, capture=tmp_path, digest="0" * 64, settings=experiment.settings,
@@ -259,7 +262,7 @@ def test_the_loop_asks_for_a_screening_fit_unless_the_grid_is_chosen(
     monkeypatch.setattr(discover_command, "load_capture", lambda _path: bar_capture(frames=10))
     options = discover_command.DiscoverOptions(capture=tmp_path, out=tmp_path / "run", spacing=spacing)
     with pytest.raises(SimulationError):
-        discover_command.loop(options, Console(io.StringIO()))
+        discover_command.discover_command(options, Console(io.StringIO()))
     assert asked == [spacing is None]
 
 

@@ -18,7 +18,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance, minimise
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
-from mphygs.fit.uncertainty import grid_change, grid_moves, prediction_change, spread_of
+from mphygs.fit.uncertainty import coordinate_covariance, grid_change, grid_moves, prediction_change
 from mphygs.simulate.settings import Settings
 
 FREE, FRAMES = ("part0.youngs_modulus",), 24
@@ -34,7 +34,7 @@ def test_what_a_model_leaves_counts_as_noise() -> None:
         found = minimise(problem, belief).evaluation
         left = max(found.misfit, 1.0)
         assert left == pytest.approx(1.0, abs=0.1) if misfit == 1.0 else left > misfit
-        spread = spread_of(problem, found)
+        spread = coordinate_covariance(problem, found)
         if misfit == 1.0:
             np.testing.assert_allclose(spread, covariance(found) * left**2)
         else:  # what lasts besides
@@ -86,7 +86,7 @@ def test_a_fit_counts_how_far_its_grids_are_apart(tmp_path: Path) -> None:
     experiment, belief = experiment_of(run)
     problem, ratio = experiment.problem(fine.spacing), coarse.spacing / fine.spacing
     found = problem.evaluate(belief)
-    noise = spread_of(problem, found)
+    noise = coordinate_covariance(problem, found)
     rows = prediction_change(found, experiment.problem(coarse.spacing).evaluate(belief), ratio)
     moved = grid_moves(problem, found, rows, covariance(found))
     # One of the directions is the change itself: what a fit would make of it, less than of all that drifts.

@@ -5,15 +5,15 @@ import pytest
 
 from mphygs.diagnose.force_readings import (
     ForceSample,
-    direction,
+    force_place,
+    force_time,
     is_internal,
+    mean_direction,
     nature,
     power_share,
     rms,
     share_of_place_alone,
     share_of_time_alone,
-    when,
-    where,
 )
 
 TIMES = np.linspace(0.0, 2.0, 61)
@@ -38,17 +38,17 @@ def wave(frequency: float = 1.5) -> np.ndarray:
 def test_size_and_direction() -> None:
     steady = [sample(np.array([3.0, 0.0, 4.0]))]
     assert rms(steady) == pytest.approx(5.0)
-    np.testing.assert_allclose(direction(steady), [0.6, 0.0, 0.8])
+    np.testing.assert_allclose(mean_direction(steady), [0.6, 0.0, 0.8])
     there_and_back = [sample(wave() * [0.0, -2.0, 0.0])]
-    np.testing.assert_allclose(direction(there_and_back), [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(mean_direction(there_and_back), [0.0, 1.0, 0.0], atol=1e-12)
     assert rms([sample(np.zeros(3))]) == 0.0
-    assert np.linalg.norm(direction([sample(np.zeros(3))])) == pytest.approx(1.0)
+    assert np.linalg.norm(mean_direction([sample(np.zeros(3))])) == pytest.approx(1.0)
 
 
 def test_where_names_the_part_and_the_place() -> None:
     force = np.zeros((61, 6, 3))
     force[:, 5] = [0.0, 2.0, 0.0]
-    first, second = where([sample(force)])
+    first, second = force_place([sample(force)])
     assert (first["part"], second["part"]) == ("head", "stem")
     assert first["center"] == [5.0, 0.0, 0.0]
     assert first["share"] == pytest.approx(1.0) and second["rms"] == 0.0
@@ -59,7 +59,7 @@ def test_when_is_the_shortest_stretch_with_half_of_it() -> None:
     force = np.zeros((61, 6, 3))
     force[20:30] = [1.0, 0.0, 0.0]
     force[40] = [0.5, 0.0, 0.0]
-    found = when([sample(force), sample(0.1 * force, name="b")])
+    found = force_time([sample(force), sample(0.1 * force, name="b")])
     assert [f["sequence"] for f in found] == ["a", "b"]
     a, b = found[0]["frames"]
     assert 21 <= a < b <= 31 and b - a == 6

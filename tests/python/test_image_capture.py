@@ -14,7 +14,7 @@ from mphygs.capture.meshes import write_mesh
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_rotation_vector
 from mphygs.capture.stages import StageFolder
 from mphygs.compare.noise import observe
-from mphygs.fit.grouping import LIKE_STD, alikeness, with_grouping
+from mphygs.fit.grouping_prior import LIKE_STD, alikeness, with_grouping
 from mphygs.fit.image_capture import as_one_part, assembled, farthest_first, placement_of
 from mphygs.fit.run import digest_of
 from mphygs.fit.stage_files import particles_of

@@ -13,7 +13,7 @@ import pytest
 from mphygs.capture.format import Markers
 from mphygs.capture.stages import STAGES, StageFolder
 from mphygs.commands.console import Console
-from mphygs.commands.image_stages import StageError, has_stages, kept_seconds, missing_stages, run_stages
+from mphygs.commands.image_stages import StageError, has_stages, missing_stages, recorded_seconds, run_stages
 from test_image_capture import recorded
 
 
@@ -89,7 +89,7 @@ def test_what_is_missing_is_run_once_and_timed(commands: list, tmp_path: Path) -
         ["track", *out, "--sequences", "lift"],
     ]
     assert list(seconds) == ["reconstruct", "segment", "register lift", "track lift"]
-    assert run_stages(recorded(), Path("flower"), tmp_path, console()) == kept_seconds(tmp_path / STAGES)
+    assert run_stages(recorded(), Path("flower"), tmp_path, console()) == recorded_seconds(tmp_path / STAGES)
     assert len(commands) == 4
     StageFolder(tmp_path / STAGES).tracks("lift").unlink()
     run_stages(recorded(), Path("flower"), tmp_path, console())

@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from command_example import answer, call, make_capture
+from mphygs.capture.draft import read_csv
 from mphygs.capture.format import load_capture
-from mphygs.capture.gathered import read_csv
 from mphygs.commands import init
 
 HELD = "-1,-1,-1:1e-4,1,1"

@@ -11,8 +11,8 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
-from mphygs.diagnose.trials_of import hung_trials
-from mphygs.diagnose.ways import hung_label
+from mphygs.diagnose.effect_variants import hanging_mass_label
+from mphygs.diagnose.finite_trials import hanging_mass_trials
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance, minimise
@@ -64,7 +64,7 @@ def test_one_mass_for_alike_loads_of_several_sequences() -> None:
     np.testing.assert_allclose(second["place"], [0.035, 0.01, 0.01])
     assert all(s["weight"] is False and s["at_rest"] is False for s in (first, second))
     assert masses_of_loads(capture, ["a"]) == []
-    assert hung_label(effect("attached_mass"), first) == "attached_mass, the load of b, c"
+    assert hanging_mass_label(effect("attached_mass"), first) == "attached_mass, the load of b, c"
 
 
 def test_a_box_wider_than_the_object_counts_as_far_as_the_object_goes() -> None:
@@ -80,14 +80,17 @@ def test_trials_weigh_what_the_load_weighs() -> None:
     plain, hung = capture.sequences
     capture = replace(capture, sequences=(plain, replace(hung, loads=(HUNG, light))))
     belief = stiff_bar(capture)
-    trials = hung_trials(effect("attached_mass"), capture, belief, ["a", "b"])
+    trials = hanging_mass_trials(effect("attached_mass"), capture, belief, ["a", "b"])
     masses = [t.belief["attached_mass.m"].value for t in trials]
     np.testing.assert_allclose(masses, [0.5 * MASS, MASS, 0.5e-3, 1e-3])
     for trial in trials:
         assert (trial.effect, trial.label) == ("attached_mass", "attached_mass, the load of b")
         assert stated_weights(trial.belief) == ("attached_mass",)
-    assert hung_trials(effect("attached_mass"), capture, belief, ["a"]) == []
-    assert hung_trials(effect("attached_mass"), capture, replace(belief, gravity=np.zeros(3)), ["b"]) == []
+    assert hanging_mass_trials(effect("attached_mass"), capture, belief, ["a"]) == []
+    assert (
+        hanging_mass_trials(effect("attached_mass"), capture, replace(belief, gravity=np.zeros(3)), ["b"])
+        == []
+    )
 
 
 def test_a_named_mass_is_that_of_the_load_where_there_is_one() -> None:

@@ -14,7 +14,7 @@ from mphygs.diagnose import force_regression
 from mphygs.diagnose import missing_force as finding
 from mphygs.diagnose.force_features import PointMotion
 from mphygs.diagnose.force_plugin import plugin_text
-from mphygs.diagnose.force_readings import nature, where
+from mphygs.diagnose.force_readings import force_place, nature
 from mphygs.diagnose.force_regression import formula_of
 from mphygs.diagnose.missing_force import MissingForce, missing_force
 from mphygs.diagnose.missing_force_basis import coarse_cells
@@ -31,7 +31,7 @@ from mphygs.model import registry, user_effect
 from mphygs.model.registry import ParameterSpec
 from mphygs.model.user_effect import load_plugin, register_effect
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.forced import ForcedSequence
+from mphygs.simulate.forced_motion import ForcedSequence
 from mphygs.simulate.prediction import Predictor, Settings
 
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
@@ -113,7 +113,7 @@ def test_known_force_is_recovered_beside_a_free_stiffness() -> None:
     weight = found.seen.basis.mass[:, None]
     correlation = (weight * a * b).sum() / np.sqrt((weight * a**2).sum() * (weight * b**2).sum())
     assert correlation > 0.9
-    assert where([sample_of("a", found)])[0]["part"] == "part1"
+    assert force_place([sample_of("a", found)])[0]["part"] == "part1"
     # From a start nearer to the truth: told of the model that it was asked of, along fewer of the frames.
     said: list[str] = []
     led = missing_force(problem, belief, start=truth, report=said.append)
@@ -144,7 +144,7 @@ def told(dragged: tuple[Problem, MissingForce]) -> Unexplained:
 def test_drag_is_read_as_dissipative_and_on_its_part(told: Unexplained) -> None:
     assert told.missing.explained > 0.99
     assert nature(told.samples) == ["dissipative"]
-    assert where(told.samples)[0]["part"] == "part1"
+    assert force_place(told.samples)[0]["part"] == "part1"
 
 
 def test_formula_of_drag_is_found(told: Unexplained) -> None:
@@ -187,7 +187,7 @@ def test_no_file_where_an_effect_in_python_cannot_have_the_force(told: Unexplain
 
 
 def test_features_are_right_in_units_and_in_sign(dragged: tuple[Problem, MissingForce]) -> None:
-    from mphygs.diagnose.force_features import KINDS, Feature, library
+    from mphygs.diagnose.force_features import KINDS, Feature, candidate_features
 
     motion = PointMotion.of(dragged[1].found["a"])
     for kind, power in (("drag", 0), ("quadratic_drag", 1), ("cubic_drag", 2)):
@@ -200,7 +200,7 @@ def test_features_are_right_in_units_and_in_sign(dragged: tuple[Problem, Missing
     assert np.abs(viscous.sum(1)).max() < 1e-9 * np.abs(viscous).max() * len(viscous[0]), "internal"
     power = np.einsum("tnc,tnc->t", viscous, _node_velocity(dragged[1]))
     assert (power[5:] < 0.0).all(), "a positive viscosity takes energy"
-    made = {f.kind for f in library(motion, np.random.default_rng(0).standard_normal((30, 3)))}
+    made = {f.kind for f in candidate_features(motion, np.random.default_rng(0).standard_normal((30, 3)))}
     assert made == set(KINDS)
 
 

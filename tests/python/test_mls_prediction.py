@@ -16,7 +16,7 @@ from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import EffectSpec, effects
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.fields import primal
+from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.material_points import moving_least_squares
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
@@ -128,7 +128,7 @@ def swing_energy(spacing: float, seconds: float = 0.5) -> np.ndarray:
     states = one.states(belief, timeline)
     f = one.transfer.deformation(states, belief).reshape(len(states[0]), -1, 3, 3)
     count = f.shape[1]
-    fields = primal(belief, one.body)
+    fields = core_inputs(belief, one.body)
     mu, lame, volume, mass = (fields[n].ravel()[:count] for n in ("mu", "lambda", "stress_volume", "mass"))
     u, v = (x[:, :count] for x in states[:2])
     log_j = np.log(np.linalg.det(f))

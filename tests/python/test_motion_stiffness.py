@@ -7,7 +7,7 @@ import pytest
 
 import rod_video
 from mphygs.capture.rotation import matrix_from_rotation_vector
-from mphygs.motion.alignment import lifted, projection_jacobian
+from mphygs.motion.alignment import combined_sights, projection_jacobian
 from mphygs.motion.control_graph import ControlGraph, Pose, control_graph
 from mphygs.motion.sight import Sight
 from mphygs.motion.stiffness import Stiffness, disagreements, turn_and_shift
@@ -123,7 +123,7 @@ def test_two_cameras_lift_displacements_to_space() -> None:
         information = np.tile(np.diag([4.0, 2.0]), (6, 1, 1))
         pull = np.einsum("nij,nj->ni", information, pixels)
         sights.append(Sight(camera, np.ones(6, bool), np.ones(6), information, pull, 0.0))
-    information, pull = lifted(points, sights)
+    information, pull = combined_sights(points, sights)
     assert np.linalg.solve(information, pull[..., None])[..., 0] == pytest.approx(step, abs=1e-8)
-    one, _ = lifted(points, sights[:1])
+    one, _ = combined_sights(points, sights[:1])
     assert np.linalg.matrix_rank(one, tol=1e-3 * np.abs(one).max()).tolist() == [2] * 6, "no depth from one"

@@ -11,7 +11,7 @@ from torch.autograd import gradcheck
 
 from bar_capture import bar_belief, bar_capture
 from mphygs.simulate.body import core_model, discretise, hold_boxes
-from mphygs.simulate.fields import core_effects, primal
+from mphygs.simulate.fields import core_effects, core_inputs
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.op import States, Window, rollout, rollout_windows
 from mphygs.simulate.prediction import Predictor
@@ -61,7 +61,7 @@ def scene(budget: int = ROOMY, number: type = np.float64) -> Scene:
         body, active=core_effects(belief), dtype=number, law="neo-hookean", threads=1, memory_budget=budget
     )
     random = np.random.default_rng(0)
-    fields = primal(belief, body)
+    fields = core_inputs(belief, body)
     fields["velocity0"] = 0.1 * random.standard_normal((model.node_count, 3))
     pose = np.zeros((1, STEPS.sum() + 1, 12))
     pose[..., [0, 4, 8]] = 1.0
@@ -208,7 +208,7 @@ def particles(dtype: str = "float64", budget: int = ROOMY) -> Scene:
     settings = Settings(0.012, dtype=dtype, memory_budget=budget, transfer="mls")
     predictor = Predictor(capture, capture.sequence("a"), settings)
     random, count = np.random.default_rng(0), len(predictor.transfer.places_at_rest())
-    fields = primal(belief, predictor.body)
+    fields = core_inputs(belief, predictor.body)
     fields["velocity0"] = 0.1 * random.standard_normal((count, 3))
     pose = np.zeros((1, STEPS.sum() + 1, 12))
     pose[..., [0, 4, 8]] = 1.0

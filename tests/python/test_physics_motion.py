@@ -10,7 +10,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief
 from mphygs.simulate.body import core_model, discretise
-from mphygs.simulate.fields import primal
+from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.prediction import Predictor, Settings
 
 SPACING = 0.01
@@ -31,7 +31,7 @@ class Rollout:
         self.model = core_model(
             self.body, active=(), dtype=np.float64, law="neo-hookean", threads=1, memory_budget=1 << 20
         )
-        self.fields = primal(belief, self.body)
+        self.fields = core_inputs(belief, self.body)
         stiffness, _ = self.model.largest_rates(self.fields)
         step = 0.3 * 2.0 / np.sqrt(stiffness)
         frames = 40

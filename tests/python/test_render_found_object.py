@@ -10,7 +10,7 @@ import torch
 
 from mphygs.capture.views import Photograph
 from mphygs.render.found_object import ObjectSettings, found_object
-from mphygs.render.looking_round import pictures_all_round
+from mphygs.render.orbit_views import pictures_all_round
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.object_files import GaussianFeatures
 from mphygs.scene.segments import SegmentSettings

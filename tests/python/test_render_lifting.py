@@ -10,7 +10,7 @@ import torch
 
 from gaussian_example import gaussians
 from mesh_picture import cameras_around
-from mphygs.render.lifting import gathered, lifted, rendered, seen_in_groups, seen_map
+from mphygs.render.lifting import gathered, lifted_features, rendered, seen_in_groups, seen_map
 from mphygs.render.splatting import splat
 from mphygs.scene.gaussians import Gaussians
 
@@ -45,7 +45,8 @@ def test_features_are_found_again_from_their_maps(drawn: Gaussians) -> None:
     well = amount > 5.0
     errors = {
         steps: float(
-            (lifted(drawn, maps, steps=steps, damping=1e-3) - truth)[well].norm() / truth[well].norm()
+            (lifted_features(drawn, maps, steps=steps, damping=1e-3) - truth)[well].norm()
+            / truth[well].norm()
         )
         for steps in (0, 3, 60)
     }
@@ -60,11 +61,11 @@ def test_what_is_not_the_object_says_nothing(drawn: Gaussians) -> None:
     values[:, 16:] = 1e6
     weight = np.zeros((32, 32), np.float32)
     weight[:, :16] = 1.0
-    found = lifted(drawn, [seen_map(camera, values, weight)], steps=0)
+    found = lifted_features(drawn, [seen_map(camera, values, weight)], steps=0)
     # seen in part, or not at all and like the nearest that is
     assert found.numpy() == pytest.approx(7.0, abs=1e-3)
     with pytest.raises(ValueError, match="expected at least one"):
-        lifted(drawn, [])
+        lifted_features(drawn, [])
     with pytest.raises(ValueError, match="weight: has shape"):
         seen_map(camera, values, weight[:8])
 

@@ -11,10 +11,10 @@ import torch
 
 from gaussian_example import camera, gaussians
 from mphygs.capture.cameras import Camera
-from mphygs.render.oracle import splat_by_oracle
 from mphygs.render.picture import Optics, Picture
+from mphygs.render.reference_splatting import splat_by_oracle
 from mphygs.render.splatting import splat
-from mphygs.scene.gaussians import Gaussians, harmonics_of_colour, joined
+from mphygs.scene.gaussians import Gaussians, harmonics_of_colour, joined_gaussians
 
 NAMES = ("positions", "rotations", "scales", "opacities", "harmonics", "features", "screen_offsets")
 
@@ -192,7 +192,7 @@ def test_order_of_the_gaussians_does_not_matter() -> None:
     shuffled = torch.randperm(50, generator=torch.Generator().manual_seed(0))
     other = splat(drawn.each(lambda tensor: tensor[shuffled]), eye)
     assert torch.equal(channels(other), channels(splat(drawn, eye)))
-    halves = joined(drawn.each(lambda tensor: tensor[:20]), drawn.each(lambda tensor: tensor[20:]))
+    halves = joined_gaussians(drawn.each(lambda tensor: tensor[:20]), drawn.each(lambda tensor: tensor[20:]))
     assert torch.equal(channels(splat(halves, eye)), channels(splat(drawn, eye)))
 
 

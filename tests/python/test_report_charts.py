@@ -13,8 +13,8 @@ from mphygs.report.charts import (
     ranking_rows,
 )
 from mphygs.report.evidence import two_errors
-from mphygs.report.filmed import Filmed
-from mphygs.report.verdict import pooled, sentence
+from mphygs.report.film_frames import Filmed
+from mphygs.report.verdict import pooled, verdict_sentence
 
 
 def errors(ratio: float, count: int = 100) -> dict:
@@ -108,7 +108,7 @@ def test_the_sentence_says_what_was_found(verdict: str, effects: list[str], word
     now = {"sequences": {"s": {"fit": errors(1.0), "predict": errors(1.5)}}, "adequate": True, "p_value": 0.5}
     before = {"sequences": {"s": {"fit": errors(3.0), "predict": errors(6.0)}}}
     steps = {"steps": [before, now], "verdict": verdict, "effects": effects}
-    told = sentence("bar", now, steps, None)
+    told = verdict_sentence("bar", now, steps, None)
     assert told.startswith(words) and "from 6.00 to 1.50 on frames that no fit has seen" in told
     assert pooled({"a": {"fit": errors(1.0)}, "b": {"fit": errors(3.0, 300)}}, "fit") == pytest.approx(7**0.5)
 

@@ -17,7 +17,7 @@ from mphygs.capture.format import load_capture
 from mphygs.capture.written import replace_arrays, replace_file
 from mphygs.commands import command as frame
 from mphygs.commands import compare, fit, in_use, predict, report, synth
-from mphygs.commands.claim import claim, claim_capture, claim_file, claim_output, clear, is_written
+from mphygs.commands.claim import claim, claim_capture, claim_file, claim_output, clear, is_own_file
 from mphygs.commands.in_use import HeldError, held, hold
 from mphygs.commands.options import CommonOptions, OptionError
 from mphygs.fit.run import folder_name, load_run
@@ -419,7 +419,7 @@ def test_paths_that_cannot_be_are_told_in_one_line(name: str, capture: Path, tmp
 
 
 def test_a_run_that_is_written_is_known_again(elastic: Path, tmp_path: Path) -> None:
-    assert is_written(elastic / "run.json") and is_marked(elastic)
+    assert is_own_file(elastic / "run.json") and is_marked(elastic)
     assert load_run(elastic).complete and load_capture(load_run(elastic).capture)
     run = tmp_path / "run"
     shutil.copytree(elastic, run)

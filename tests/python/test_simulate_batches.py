@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.diagnose.shaking import swing_ways
-from mphygs.diagnose.ways import smooth_ways
+from mphygs.diagnose.effect_variants import smooth_variants
+from mphygs.diagnose.periodic_variants import swing_variants
 from mphygs.model.registry import effect
 from mphygs.simulate import prediction
 from mphygs.simulate.batches import APART, DEAR, PAIR, Batch, batches_of
@@ -23,8 +23,8 @@ def test_unlike_constants_of_one_effect_do_not_mix(workers: int) -> None:
     capture = bar_capture(frames=12, fps=100.0, fit=(0, 12))
     belief = bar_belief(capture, youngs_modulus=6e4, free=())
     predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=workers, dtype="float64"))
-    ways = smooth_ways(belief, predictor.body, names=["relaxation", "wind", "tether", "gravity"])
-    ways += swing_ways(belief, effect("base_motion"), [3.0, 9.0])
+    ways = smooth_variants(belief, predictor.body, names=["relaxation", "wind", "tether", "gravity"])
+    ways += swing_variants(belief, effect("base_motion"), [3.0, 9.0])
     columns = [pair for way in ways for pair in way.columns]
     together = predictor.predict(belief, candidates=columns).jacobian
     assert len(columns) > 25
@@ -47,7 +47,7 @@ def shared_out(
     belief = bar_belief(capture, youngs_modulus=6e4, free=())
     settings = Settings(0.01, workers=1, dtype="float32", transfer=transfer)
     predictor = Predictor(capture, capture.sequences[0], settings)
-    ways = smooth_ways(belief, predictor.body) + swing_ways(belief, effect("base_motion"), [3.0, 9.0])
+    ways = smooth_variants(belief, predictor.body) + swing_variants(belief, effect("base_motion"), [3.0, 9.0])
     columns = [pair for way in ways for pair in way.columns]
     found: list[Batch] = []
 
@@ -111,7 +111,7 @@ def test_directions_that_share_a_register_are_those_told_alone(rest: str, count:
     belief = bar_belief(capture, youngs_modulus=6e4, free=keys, prestress=mode)
     predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float32"))
     columns = [(belief, belief[key]) for key in keys]
-    columns += smooth_ways(belief, predictor.body, names=["gravity"])[0].columns
+    columns += smooth_variants(belief, predictor.body, names=["gravity"])[0].columns
     assert len(columns) == 5
     chosen = columns[:count]
     together = predictor.predict(belief, candidates=chosen).jacobian
@@ -152,7 +152,7 @@ def test_effects_share_a_register_as_the_law_does(names: list[str], count: int) 
     precise = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float64"))
     columns = [(belief, belief[f"{name}.{next(iter(ACTING[name]))}"]) for name in names]
     columns += [(belief, belief[key]) for key in keys]
-    columns += smooth_ways(belief, predictor.body, names=["gravity"])[0].columns
+    columns += smooth_variants(belief, predictor.body, names=["gravity"])[0].columns
     chosen = columns[:count]
     together = predictor.predict(belief, candidates=chosen)
     for k, column in enumerate(chosen):
@@ -253,7 +253,7 @@ def test_candidates_at_rest_share_the_solution_of_the_model_without_them(name: s
     belief = bar_belief(capture, youngs_modulus=6e4, free=("part0.density",), prestress="equilibrium")
     predictor = Predictor(capture, capture.sequences[0], Settings(0.01, workers=1, dtype="float64"))
     shape = predictor.rest_shape
-    ways = smooth_ways(belief, predictor.body, names=[name])
+    ways = smooth_variants(belief, predictor.body, names=[name])
     told = 0.0
     for owner, parameter in ways[0].columns:
         assert shape.rests_as(owner, belief) is (name != "fibre")

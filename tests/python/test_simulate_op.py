@@ -14,8 +14,8 @@ from bar_capture import bar_belief, bar_capture
 from mphygs.model.belief import Belief
 from mphygs.simulate.body import Body, core_model, discretise, hold_boxes
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.fields import core_effects, places, primal
-from mphygs.simulate.markers import MarkerMap, polar_rotation
+from mphygs.simulate.fields import core_effects, core_inputs, places
+from mphygs.simulate.marker_map import MarkerMap, polar_rotation
 from mphygs.simulate.op import FIELD_NAMES, Window, rollout, rollout_windows
 from mphygs.simulate.rest_op import RestSolver, node_mass, stress_free_state
 
@@ -52,7 +52,7 @@ def all_fields(
 ) -> dict[str, torch.Tensor]:
     """Every field that a rollout reads, none of them at a special value."""
     random = np.random.default_rng(0)
-    fields = primal(belief, body)
+    fields = core_inputs(belief, body)
     blocks, nodes = body.block_count, model.node_count
     fields["deformation0"] = np.tile(np.eye(3).reshape(9, 1), (blocks, 1, 8)) + 0.02 * random.standard_normal(
         (blocks, 9, 8)
@@ -277,7 +277,7 @@ def test_rest_shape_derivatives_by_differences() -> None:
         body, active=("stiffening",), dtype=np.float64, law="neo-hookean", threads=1, memory_budget=1 << 20
     )
     solver = RestSolver(model)
-    fields = {n: torch.from_numpy(np.asarray(v)) for n, v in primal(belief, body).items()}
+    fields = {n: torch.from_numpy(np.asarray(v)) for n, v in core_inputs(belief, body).items()}
     volume = torch.from_numpy(body.quadrature.volumes)
 
     def state(scales: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -311,8 +311,8 @@ def test_rest_shape_derivatives_by_differences() -> None:
 
 def test_node_mass_is_the_models_own() -> None:
     belief, body, model = scene()
-    mass = torch.from_numpy(primal(belief, body)["mass"])
-    without = primal(belief, body) | {"place_mass": np.zeros(len(places(belief)))}
+    mass = torch.from_numpy(core_inputs(belief, body)["mass"])
+    without = core_inputs(belief, body) | {"place_mass": np.zeros(len(places(belief)))}
     np.testing.assert_allclose(
         node_mass(model, body.geometry, mass).numpy(), model.node_mass(without), rtol=1e-12
     )

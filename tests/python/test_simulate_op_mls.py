@@ -11,7 +11,7 @@ from actuation_example import actuation, channels
 from bar_capture import bar_belief, bar_capture
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.fields import primal
+from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.op import FIELD_NAMES, UserTerms, Window, rollout, rollout_windows
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
@@ -47,7 +47,7 @@ def all_fields(
 ) -> dict[str, torch.Tensor]:
     """Every field that a rollout reads, none of them at a special value."""
     random = np.random.default_rng(0)
-    fields = primal(belief, predictor.body)
+    fields = core_inputs(belief, predictor.body)
     count = len(predictor.transfer.places_at_rest())
     fields["deformation0"] = np.eye(3) + 0.02 * random.standard_normal((count, 3, 3))
     fields["displacement0"] = 1e-4 * random.standard_normal((count, 3))

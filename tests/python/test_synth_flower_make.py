@@ -13,7 +13,7 @@ from mphygs.capture.format import load_capture
 from mphygs.capture.views import rest_views_of, sequence_views_of
 from mphygs.scene.agreement import check_first_frame
 from mphygs.synth.flower import SPECIES, make_flower
-from mphygs.synth.flower.shoot import Shoot
+from mphygs.synth.flower.recording_settings import Shoot
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mphygs.model.registry import effects, laws
-from mphygs.synth.hidden import names
+from mphygs.synth.hidden import hidden_names
 from synth_example import SIGMA, made, tracks
 
 
@@ -18,11 +18,11 @@ def plain(tmp_path_factory):
 def test_everything_of_the_registry_that_is_fitted_can_be_hidden() -> None:
     """Faults that tracks show by themselves are put on by their own tests: no model has them."""
     fitted = {name for name, spec in effects().items() if spec.fitted}
-    assert (fitted | {"marker_outliers"}) - {"prestress"} <= set(names())
-    assert {"cubic_drag", "point_field", "actuation"} <= set(names())
+    assert (fitted | {"marker_outliers"}) - {"prestress"} <= set(hidden_names())
+    assert {"cubic_drag", "point_field", "actuation"} <= set(hidden_names())
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", hidden_names())
 def test_what_is_hidden_changes_the_data(name, plain, tmp_path) -> None:
     result, capture = made(tmp_path, "two-part-bar", (name,))
     # The noise has the same seed and falls out of the difference.

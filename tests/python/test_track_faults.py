@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from capture_example import Example, write_c3d
-from mphygs.capture.track_faults import marker_survey
-from mphygs.capture.track_faults.examined import CHECKS, examined
-from mphygs.capture.track_faults.noise_level import quantum
+from mphygs.capture.track_faults import marker_survey_repair
+from mphygs.capture.track_faults.noise_level_repair import quantum
 from mphygs.capture.track_faults.scatter import own_noise, scatter
-from mphygs.capture.track_faults.tracks import Tracks
+from mphygs.capture.track_faults.track_repair import REPAIRS, repaired_tracks
+from mphygs.capture.track_faults.tracks import ExaminedTracks
 from mphygs.compare.noise import _with_offset
 from mphygs.compare.whitening import NoiseModel
 from mphygs.model.registry import faults
@@ -22,7 +22,7 @@ SIGMA, FRAMES, FPS = 2e-4, 48, 60.0
 SEEDS = range(5)
 
 
-def moving(seed: int, *, sigma: float = SIGMA, frames: int = FRAMES) -> Tracks:
+def moving(seed: int, *, sigma: float = SIGMA, frames: int = FRAMES) -> ExaminedTracks:
     """Markers on a bar that bends and twists in three ways, with noise and gaps."""
     random = np.random.default_rng(seed)
     at = random.uniform([0.0, -0.01, -0.01], [0.1, 0.01, 0.01], (30, 3)) + [0.05, 0.02, 0.3]
@@ -35,20 +35,20 @@ def moving(seed: int, *, sigma: float = SIGMA, frames: int = FRAMES) -> Tracks:
     position[..., 1] += 0.01 * along**2 * swing[1] + 0.2 * along * (at[:, 2] - 0.3) * swing[2]
     position += sigma * random.standard_normal(position.shape)
     position[random.random(position.shape[:2]) < 0.01] = np.nan
-    return Tracks(position, at, SIGMA)
+    return ExaminedTracks(position, at, SIGMA)
 
 
-def seen(position: np.ndarray, tracks: Tracks) -> Tracks:
-    return examined(Tracks(position[:FRAMES], tracks.at, tracks.sigma, tracks.release))
+def seen(position: np.ndarray, tracks: ExaminedTracks) -> ExaminedTracks:
+    return repaired_tracks(ExaminedTracks(position[:FRAMES], tracks.at, tracks.sigma, tracks.release))
 
 
-def only(found: Tracks, fault: str) -> dict[str, float]:
+def only(found: ExaminedTracks, fault: str) -> dict[str, float]:
     assert [finding.fault for finding in found.findings] == [fault]
     return found.findings[0].numbers
 
 
 def test_every_fault_is_one_of_the_registry() -> None:
-    assert {check.FAULT for check in CHECKS} <= {fault.name for fault in faults()}
+    assert set(REPAIRS) <= {fault.name for fault in faults()}
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -186,20 +186,20 @@ def test_tracks_that_are_lost_and_single_bad_values_are_no_noise() -> None:
     assert seen(bad, tracks).scatter is None
 
 
-def resting(seed: int) -> Tracks:
+def resting(seed: int) -> ExaminedTracks:
     """The bar, at rest for two frames before it moves."""
     tracks = moving(seed)
     position = np.concatenate([np.tile(tracks.at, (2, 1, 1)), tracks.position[2:]])
     position[:2] += SIGMA * np.random.default_rng(600 + seed).standard_normal((2, 30, 3))
-    return Tracks(position[:FRAMES], tracks.at, SIGMA, release=2)
+    return ExaminedTracks(position[:FRAMES], tracks.at, SIGMA, release=2)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_places_surveyed_wrongly_are_found_where_they_rest(seed: int) -> None:
     clean = resting(seed)
-    assert marker_survey.check(clean) is clean
+    assert marker_survey_repair.repair_marker_survey(clean) is clean
     error = 6e-4 * np.random.default_rng(500 + seed).standard_normal(clean.at.shape)
-    found = marker_survey.check(replace(clean, at=clean.at + error))
+    found = marker_survey_repair.repair_marker_survey(replace(clean, at=clean.at + error))
     assert only(found, "marker_survey")["sigma"] == pytest.approx(6e-4, rel=0.3)
     left = np.sqrt(np.mean((found.at - clean.at) ** 2))
     assert left == pytest.approx(SIGMA / np.sqrt(2.0), rel=0.35)
@@ -214,10 +214,10 @@ def test_what_is_smooth_at_rest_or_one_marker_s_is_no_survey() -> None:
     one = clean.position.copy()
     one[:, 4] += 4e-3
     for position in (bent, scaled, one):
-        assert marker_survey.check(replace(clean, position=position)).findings == ()
+        assert marker_survey_repair.repair_marker_survey(replace(clean, position=position)).findings == ()
     error = 6e-4 * np.random.default_rng(7).standard_normal(clean.at.shape)
     unrested = replace(clean, at=clean.at + error, begins="measured")
-    assert marker_survey.check(unrested) is unrested
+    assert marker_survey_repair.repair_marker_survey(unrested) is unrested
 
 
 def test_places_that_are_not_known_are_noise_that_stays() -> None:
@@ -273,9 +273,9 @@ def test_noise_that_lasts_over_the_resting_frames_is_no_survey(seed: int) -> Non
     true = moving(seed, sigma=0.0).position[6:FRAMES]
     still = np.concatenate([np.tile(clean.at, (6, 1, 1)), true])
     position = still + SIGMA * np.sqrt(0.5) * (slow + fresh)
-    assert marker_survey.check(replace(clean, position=position)).findings == ()
+    assert marker_survey_repair.repair_marker_survey(replace(clean, position=position)).findings == ()
     error = 6e-4 * random.standard_normal(clean.at.shape)
-    found = marker_survey.check(replace(clean, position=position, at=clean.at + error))
+    found = marker_survey_repair.repair_marker_survey(replace(clean, position=position, at=clean.at + error))
     assert only(found, "marker_survey")["sigma"] == pytest.approx(6e-4, rel=0.35)
 
 

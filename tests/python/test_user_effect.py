@@ -18,7 +18,7 @@ from mphygs.model.registry import ParameterSpec, effect, effects
 from mphygs.model.user_effect import UserEffect, load_plugin, register_effect
 from mphygs.simulate import body
 from mphygs.simulate.body import core_model
-from mphygs.simulate.fields import primal
+from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.op import UserTerms, rollout
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.settings import check_effects
@@ -231,7 +231,9 @@ def test_an_axis_begins_along_the_largest_part() -> None:
 @pytest.mark.parametrize("budget", [2 << 30, 120_000], ids=["roomy", "tight"])
 def test_adjoint_and_tangent_through_the_operation(budget: int) -> None:
     one = predictor()
-    fields = {n: torch.from_numpy(np.asarray(v, float)) for n, v in primal(belief(one), one.body).items()}
+    fields = {
+        n: torch.from_numpy(np.asarray(v, float)) for n, v in core_inputs(belief(one), one.body).items()
+    }
     schedule = {"steps": np.array([9, 8], np.int32), "dt": np.array([3e-4, 3e-4]), "start": 0.02}
     pose = np.zeros((1, 18, 12))
     pose[..., [0, 4, 8]] = 1.0

@@ -11,7 +11,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
-from mphygs.api.errors import InputError, as_told
+from mphygs.api.interface_errors import InputError, as_interface_errors
 from mphygs.capture.format import Capture, load_capture, save_capture
 from mphygs.capture.json_values import plain
 from mphygs.commands.claim import claim, claim_capture
@@ -68,7 +68,7 @@ class Told(Console):
 def call(action: Callable[[Options, Console], Found], options: Options, progress: Progress | None) -> Found:
     """What an action of a command finds. Raises MphygsError with the line that the command would end in."""
     _check_choices(options)
-    with as_told(), working(options):
+    with as_interface_errors(), working(options):
         return action(options, Told(StringIO(), listener=progress))
 
 

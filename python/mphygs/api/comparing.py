@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mphygs.api.calls import CaptureLike, Home, Progress, RunLike, call, comma, folder_of, home_of, json_of
-from mphygs.api.errors import InputError
+from mphygs.api.interface_errors import InputError
 from mphygs.api.results import Error, Row, Table, error_rows, errors_of, sensor_rows
 from mphygs.capture.format import Capture
-from mphygs.commands.compare import CompareOptions, held_against, picture_of
+from mphygs.commands.compare import CompareOptions, compared_run, comparison_figure
 from mphygs.compare.assess import Compared, in_words
 from mphygs.compare.sensor_pictures import sensor_figure
 
@@ -65,7 +65,7 @@ class Comparison(Table):
         if name not in self.compared:
             known = ", ".join(self.compared)
             raise InputError(f"sequence '{name}' was not compared; expected one of {known}")
-        return picture_of(self.capture, name, self.compared[name])
+        return comparison_figure(self.capture, name, self.compared[name])
 
     def plot_sensors(self, sequence: str | None = None) -> Figure:
         """What the instruments of one sequence measured and what is predicted, by default of the first that
@@ -103,7 +103,7 @@ def compare(
         out=None if out is None else Path(out),
         workers=workers,
     )
-    found = call(held_against, options, progress)
+    found = call(compared_run, options, progress)
     return Comparison(
         folder_of(run), json_of(found.document), found.experiment.capture, found.compared, home_of(run)
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mphygs.api.calls import Home, Progress, RunLike, call, comma, folder_of, home_of, json_of
 from mphygs.api.results import Row, Table
 from mphygs.commands.diagnose import DiagnoseOptions
-from mphygs.commands.diagnose import diagnose as diagnose_run
+from mphygs.commands.diagnose import diagnose_command as diagnose_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

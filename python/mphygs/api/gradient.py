@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mphygs.api.errors import InputError, as_told
+from mphygs.api.interface_errors import InputError, as_interface_errors
 from mphygs.api.model import Model
 from mphygs.capture.format import Sequence
 from mphygs.simulate.prediction import Predictor
@@ -32,7 +32,7 @@ class _Motion(torch.autograd.Function):
     ) -> Tensor:
         numbers = values.detach().to(torch.float64).tolist()
         moved = model.with_parameters(dict(zip(keys, numbers, strict=True)))
-        with as_told():
+        with as_interface_errors():
             found = predictor.predict(moved.belief, last=last, substep=substep)
         ctx.run = (predictor, moved.belief, keys, last, substep, values.dtype)
         return torch.from_numpy(np.ascontiguousarray(found.position)).to(values.dtype)
@@ -41,7 +41,7 @@ class _Motion(torch.autograd.Function):
     def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor | None, ...]:
         predictor, belief, keys, last, substep, dtype = ctx.run
         bar = bars[0].detach().to(torch.float64).numpy()
-        with as_told():
+        with as_interface_errors():
             _, slopes = predict_with_gradient(
                 predictor, belief, lambda _: bar, keys=keys, last=last, substep=substep
             )
@@ -82,6 +82,6 @@ def rollout(
         raise InputError(f"frames: got {last}; expected 1 to {recording.frames} for {recording.name}")
     flat = [value.reshape(()).to(torch.float64) for value in values]
     given = torch.stack(flat) if flat else torch.zeros(0, dtype=torch.float64)
-    with as_told():
+    with as_interface_errors():
         predictor = model.predictor(recording)
     return cast(Tensor, _Motion.apply(model, predictor, keys, last, substep, given))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from mphygs.api.calls import CaptureLike, RunLike, folder_of
-from mphygs.api.errors import InputError, as_told
+from mphygs.api.interface_errors import InputError, as_interface_errors
 from mphygs.capture.format import Capture, Markers, Sequence
 from mphygs.capture.format import load_capture as read_capture
 from mphygs.fit.of_run import experiment_of
@@ -53,7 +53,7 @@ class Model:
 
         spacing: of the grid [m], by default that of `fit`; dtype: of the simulation. Raises InputError.
         """
-        with as_told():
+        with as_interface_errors():
             own = capture if isinstance(capture, Capture) else read_capture(capture)
             belief = starting_belief(own, prestress=prestress, law=law)
             width = default_spacing(own) if spacing is None else spacing
@@ -64,7 +64,7 @@ class Model:
     @classmethod
     def of_run(cls, run: RunLike) -> Model:
         """The fitted model of a run. Raises InputError."""
-        with as_told():
+        with as_interface_errors():
             experiment, belief = experiment_of(load_run(folder_of(run)))
             return cls(experiment.capture, belief, experiment.settings)
 
@@ -91,7 +91,7 @@ class Model:
             if key not in belief:
                 known = ", ".join(self.parameters)
                 raise InputError(f"parameter '{key}' is not in the model; expected one of {known}")
-            with as_told():
+            with as_interface_errors():
                 belief = belief.with_parameter(key, value=float(value))
         return replace(self, belief=belief)
 
@@ -106,7 +106,7 @@ class Model:
         values: of its numbers, the rest stay at their null; settings: "place" (3,) [m], "part" or "axis" (3,)
         for effects that need them, by default as `fit` chooses them. Raises InputError.
         """
-        with as_told():
+        with as_interface_errors():
             try:
                 spec = effect(name)
             except KeyError as error:

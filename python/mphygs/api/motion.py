@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mphygs.api.errors import InputError, as_told
+from mphygs.api.interface_errors import InputError, as_interface_errors
 from mphygs.api.model import Model
 from mphygs.api.results import Row, Table
 from mphygs.capture.format import Sequence
@@ -57,7 +57,7 @@ class Motion(Table):
         """Displacements over time of the points that move most."""
         from matplotlib.figure import Figure
 
-        from mphygs.compare.pictures import moving_most
+        from mphygs.compare.sequence_pictures import moving_most
 
         figure = Figure(figsize=(7.0, 4.0), layout="constrained")
         axes = figure.subplots()
@@ -85,7 +85,7 @@ def simulate(
     recording = model.recording(sequence, points)
     if frames is not None and not 1 <= frames <= recording.frames:
         raise InputError(f"frames: got {frames}; expected 1 to {recording.frames} for {recording.name}")
-    with as_told():
+    with as_interface_errors():
         found = model.predictor(recording).predict(model.belief, last=frames)
     return Motion(
         recording.name,

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mphygs.api.errors import MissingPackageError
-from mphygs.report.html import table
+from mphygs.api.interface_errors import MissingPackageError
+from mphygs.report.html import html_table
 
 if TYPE_CHECKING:
     import pandas
@@ -44,7 +44,7 @@ class Table:
         head = list(dict.fromkeys(key for row in rows for key in row))
         cells = [["" if row.get(key) is None else row[key] for key in head] for row in rows]
         title = self.title()
-        return (table(["what"], [[title]]) if title else "") + table(head, cells)
+        return (html_table(["what"], [[title]]) if title else "") + html_table(head, cells)
 
 
 @dataclass(frozen=True)

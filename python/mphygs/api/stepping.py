@@ -23,9 +23,9 @@ from mphygs.api.calls import (
 from mphygs.api.results import Estimate, Row, Table, error_rows, errors_figure, errors_of, estimates_of
 from mphygs.commands.command import Answer
 from mphygs.commands.console import Console
-from mphygs.commands.discover import FIRST, DiscoverOptions, loop
+from mphygs.commands.discover import FIRST, DiscoverOptions, discover_command
 from mphygs.commands.extend import ExtendOptions
-from mphygs.commands.extend import extend as extend_run
+from mphygs.commands.extend import extend_command as extend_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -132,7 +132,7 @@ def discover(
 
     def action(options: DiscoverOptions, console: Console) -> Answer:
         own = placed_capture(capture, folder, resume=resume, beside=(FIRST,))
-        return loop(replace(options, capture=own), console)
+        return discover_command(replace(options, capture=own), console)
 
     options = DiscoverOptions(
         out=folder,

@@ -32,7 +32,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
 from mphygs.simulate.batches import Owned
-from mphygs.simulate.fields import primal
+from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.measurement import before_measurement
 from mphygs.simulate.prediction import Maker, Predictor
 from mphygs.simulate.prediction_gradient import field_slopes
@@ -90,7 +90,7 @@ class LawsPredictor(Simulated):
 
     def _usual(self, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
         """(N,) each, Lame's parameters as believed [Pa]."""
-        fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
+        fields = core_inputs(belief_of_sequence(belief, self.recording.name), self.body)
         return fields["mu"].ravel(), fields["lambda"].ravel()
 
     def slopes(self, belief: Belief, last: int, bar: np.ndarray) -> Values:

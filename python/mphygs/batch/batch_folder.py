@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mphygs.batch.order import Order
-from mphygs.batch.page import page
 from mphygs.batch.summary import Row, csv_text, row_of
+from mphygs.batch.summary_page import summary_page
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.document import read_document
 from mphygs.capture.json_values import plain
@@ -57,7 +57,7 @@ class BatchFolder:
         replace_file(self.out / TABLE, csv_text(rows))
         folders = any(task.run is not None for task in self.tasks)
         title = f"{self.order.command} on {len(self.order.folders)} folders"
-        replace_file(self.out / PAGE, page(title, self.line(), rows, folders=folders))
+        replace_file(self.out / PAGE, summary_page(title, self.line(), rows, folders=folders))
 
     def line(self) -> str:
         """The command line that makes this batch."""
@@ -85,7 +85,7 @@ class BatchFolder:
         }
 
 
-def forget(tasks: Sequence[Task]) -> None:
+def remove_outcomes(tasks: Sequence[Task]) -> None:
     """Take away what an older batch has said: a run goes on only where it was begun by this one."""
     for task in tasks:
         for path in (task.log, task.outcome):

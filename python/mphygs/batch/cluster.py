@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 ANSWER = 10.0
 
 
-def needed() -> None:
+def check_distributed() -> None:
     """Raises ValueError where dask.distributed is not installed."""
     try:
         import distributed  # noqa: F401
@@ -91,7 +91,7 @@ def _withdrawn() -> Callable[[], bool]:
 
 
 @contextlib.contextmanager
-def local(workers: int, threads: int) -> Iterator[Workers]:
+def local_workers(workers: int, threads: int) -> Iterator[Workers]:
     """Worker processes on this machine, which alone can reach them; one that ends is begun anew."""
     from distributed import Client, LocalCluster, Security
 
@@ -106,7 +106,7 @@ def local(workers: int, threads: int) -> Iterator[Workers]:
             memory_limit=None,
             silence_logs=logging.CRITICAL,  # of the worker processes
             security=Security.temporary(),
-            preload=["mphygs.batch.deaf"],
+            preload=["mphygs.batch.interrupt_immunity"],
         ) as cluster,
         Client(cluster, timeout=ANSWER) as client,
     ):
@@ -114,7 +114,7 @@ def local(workers: int, threads: int) -> Iterator[Workers]:
 
 
 @contextlib.contextmanager
-def existing(address: str, where: str) -> Iterator[Workers]:
+def workers_of_scheduler(address: str, where: str) -> Iterator[Workers]:
     """The workers of a scheduler. where: that gave its address. Raises ValueError where none answers."""
     from distributed import Client
 

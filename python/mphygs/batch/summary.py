@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mphygs.batch.work import Outcome, Task
-from mphygs.fit.tables import table
+from mphygs.fit.tables import text_table
 
 RANGES = {"fit": "fitted", "predict": "unseen"}
 ERRORS = ("rms", "max", "rms_over_sigma")
@@ -74,8 +74,8 @@ def row_of(task: Task, outcome: Outcome | None) -> Row:
         state="done",
         verdict=_verdict(answer),
         effects=tuple(answer.get("effects") or ()),
-        errors=_pooled(last.get("sequences") or {}) or _told(answer),
-        parameters=numbers or _estimated(answer),
+        errors=_pooled(last.get("sequences") or {}) or _diagnosis_errors(answer),
+        parameters=numbers or _diagnosis_parameters(answer),
         seconds=outcome.seconds,
     )
 
@@ -109,7 +109,7 @@ def _rms(errors: Sequence[Mapping], key: str, count: int) -> float | None:
     return math.sqrt(sum(e["count"] * e[key] ** 2 for e in errors) / count)
 
 
-def _told(answer: Mapping) -> Errors:
+def _diagnosis_errors(answer: Mapping) -> Errors:
     """Errors of a diagnosis, whose first row of `path` is the run that it was made of."""
     first = next(iter(answer.get("path") or ()), {})
     return {
@@ -119,7 +119,7 @@ def _told(answer: Mapping) -> Errors:
     }
 
 
-def _estimated(answer: Mapping) -> dict[str, dict[str, object]]:
+def _diagnosis_parameters(answer: Mapping) -> dict[str, dict[str, object]]:
     """The numbers of the effects that a diagnosis would add."""
     return {
         f"{row['effect']}.{key}": {"value": value, "std": (row.get("std") or {}).get(key)}
@@ -169,7 +169,7 @@ def text_of(rows: Sequence[Row], out: Path) -> str:
         errors += [(row.errors.get(label, {}).get("rms_over_sigma"), 1.0) for label in RANGES]
         shown = ["-" if value is None else f"{scale * value:.3f}" for value, scale in errors]
         cells.append([row.name, row.verdict or "-", ", ".join(row.effects) or "-", *shown])
-    lines = [table(cells), ""] if len(cells) > 1 else []
+    lines = [text_table(cells), ""] if len(cells) > 1 else []
     failed = [row for row in rows if row.state == "failed"]
     lines.append(f"{len(cells) - 1} of {len(rows)} runs done, {len(failed)} failed")
     lines += [f"  {row.name}: {row.line}" for row in failed]

@@ -36,15 +36,16 @@ class Task:
 
     name: of the run in the batch; folder: that the command is run on; words: of its command line, without
     those that a worker adds; run: its own run folder, None where the command writes where it always does;
-    kept: folder of what is known of it; place: folder that relative paths are meant from; limited, resumable:
-    whether the command takes --workers and --resume; seed, effects: told apart by, where they are.
+    logs: folder of what it says and of what came of it; place: folder that relative paths are meant from;
+    limited, resumable: whether the command takes --workers and --resume; seed, effects: told apart by, where
+    they are.
     """
 
     name: str
     folder: str
     words: tuple[str, ...]
     run: Path | None
-    kept: Path
+    logs: Path
     place: Path
     limited: bool
     resumable: bool
@@ -54,12 +55,12 @@ class Task:
     @property
     def log(self) -> Path:
         """File of what the command says while it works."""
-        return self.kept / f"{self.name}.log"
+        return self.logs / f"{self.name}.log"
 
     @property
     def outcome(self) -> Path:
         """File of what came of it."""
-        return self.kept / f"{self.name}.json"
+        return self.logs / f"{self.name}.json"
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def _run(
     environment = dict(os.environ) | {name: str(threads) for name in THREADS}
     with tempfile.TemporaryFile() as said, task.log.open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "mphygs.batch.alone", *words],
+            [sys.executable, "-m", "mphygs.batch.child_process", *words],
             stdin=subprocess.PIPE,
             stdout=said,
             stderr=log,

@@ -12,9 +12,9 @@ from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
 from mphygs.capture.files import Size, file_inside, read_arrays
 from mphygs.capture.rotation import align_rigid
-from mphygs.capture.track_faults import label_swaps, zero_gaps
-from mphygs.capture.track_faults.examined import examined
-from mphygs.capture.track_faults.tracks import Finding, Tracks
+from mphygs.capture.track_faults import label_swap_repair, zero_gap_repair
+from mphygs.capture.track_faults.track_repair import repaired_tracks
+from mphygs.capture.track_faults.tracks import ExaminedTracks, Finding
 
 SIGMAS = (1e-9, 1.0)  # [m]
 FARTHEST = 1e4  # [m] of a place from the origin
@@ -120,7 +120,7 @@ def read_markers(
         position = read_arrays(path, {"position": shape})["position"]
         if first is not None:
             position = _from_frame(path, position, first, frames)
-        tracks = examined(Tracks(position, at, sigma, release, zeros, begins=start))
+        tracks = repaired_tracks(ExaminedTracks(position, at, sigma, release, zeros, begins=start))
     elif suffix == ".c3d":
         if start == "measured":
             what = f"{path.name} is told in the object frame by its rest, which the sequence does not show"
@@ -131,17 +131,19 @@ def read_markers(
         _check_count(path, position, at)
         names = names or labels
         # Zeros are seen in the file's own frame, the others in the object's.
-        tracks = zero_gaps.check(Tracks(position, at, sigma, release, zeros, begins=start))
+        tracks = zero_gap_repair.repair_zero_gaps(
+            ExaminedTracks(position, at, sigma, release, zeros, begins=start)
+        )
         aligned = _to_object_frame(path, tracks.position, at, release)
-        tracks = examined(replace(tracks, position=aligned, zero_is_missing=False, raw=position))
-        if any(finding.fault == label_swaps.FAULT for finding in tracks.findings):
+        tracks = repaired_tracks(replace(tracks, position=aligned, zero_is_missing=False, raw=position))
+        if any(finding.fault == label_swap_repair.FAULT for finding in tracks.findings):
             again = _to_object_frame(path, tracks.position, at, release)
             tracks = replace(tracks, position=again)
     else:
         raise entry["file"].wrong("an .npz or a .c3d file")
     if not np.isfinite(tracks.position).all(axis=2).any():
         what = "is NaN everywhere"
-        if any(finding.fault == zero_gaps.FAULT for finding in tracks.findings):
+        if any(finding.fault == zero_gap_repair.FAULT for finding in tracks.findings):
             what = "is zero wherever it is measured"
         elif np.isfinite(tracks.position).any():
             what = "has no place with all of x, y and z"

@@ -13,7 +13,7 @@ KINDS = ("shake", "rock", "shift", "turn")
 
 
 @dataclass(frozen=True)
-class Motion:
+class HoldMovement:
     """One movement, between `start` and `stop` [s].
 
     shake: by sin(2 pi f (t - start)), by: (3,) [m]; rock: the same about `axis` by `degrees`; both swell and
@@ -56,7 +56,7 @@ def ramp(share: np.ndarray) -> np.ndarray:
 
 
 def hold_poses(
-    motions: Sequence[Motion], times: np.ndarray, pivot: np.ndarray
+    motions: Sequence[HoldMovement], times: np.ndarray, pivot: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pose of what is held: position (T, 3) [m] and quaternion (T, 4), X goes to R X + p.
 

@@ -35,6 +35,10 @@ class Photograph:
     colour: np.ndarray
     mask: np.ndarray
 
+    def within(self, longest: int) -> Photograph:
+        """The picture at a half, a third, ... of its size, so that no side is longer than `longest` [px]."""
+        return self.shrunk(max(1, -(-max(self.camera.width, self.camera.height) // longest)))
+
     def shrunk(self, factor: int) -> Photograph:
         """The picture `factor` times smaller along each side, by the mean over its pixels."""
         if factor == 1:

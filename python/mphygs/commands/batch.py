@@ -14,19 +14,19 @@ from typing import Annotated
 
 import tyro
 
-from mphygs.batch.batch_folder import DOCUMENT, PAGE, TABLE, BatchFolder, forget, read_order
-from mphygs.batch.cluster import Workers, existing, local, needed
+from mphygs.batch.batch_folder import DOCUMENT, PAGE, TABLE, BatchFolder, read_order, remove_outcomes
+from mphygs.batch.cluster import Workers, check_distributed, local_workers, workers_of_scheduler
 from mphygs.batch.dispatch import dispatch
 from mphygs.batch.order import Order
 from mphygs.batch.summary import row_of, text_of
 from mphygs.batch.work import Outcome, Task
 from mphygs.commands.batch_order import LOGS, effect_lists, options_of, tasks_of
-from mphygs.commands.batch_view import View
-from mphygs.commands.claim import claim_capture, claim_file, kept_inside
+from mphygs.commands.batch_view import BatchView
+from mphygs.commands.claim import claim_capture, claim_file, folder_inside
 from mphygs.commands.command import DONE, FAILED, Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.fit import RUNS
-from mphygs.commands.options import CommonOptions, OptionError, names
+from mphygs.commands.options import CommonOptions, OptionError, split_names
 from mphygs.simulate.settings import available_cores
 
 PROGRAM = "mphygs batch"
@@ -66,10 +66,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     end = words.index("--") if "--" in words else len(words)
     passed = tuple(words[end + 1 :])
-    return run(BatchOptions, lambda o, console: batch(o, passed, console), program=PROGRAM, argv=words[:end])
+    return run(
+        BatchOptions, lambda o, console: batch_command(o, passed, console), program=PROGRAM, argv=words[:end]
+    )
 
 
-def batch(options: BatchOptions, passed: tuple[str, ...], console: Console) -> Answer:
+def batch_command(options: BatchOptions, passed: tuple[str, ...], console: Console) -> Answer:
     """Run all that is not done yet; the table is written anew whenever a run has ended."""
     if options.threads is not None and options.threads < 1:
         raise OptionError(f"--threads: got {options.threads}; expected 1 or more")
@@ -78,28 +80,28 @@ def batch(options: BatchOptions, passed: tuple[str, ...], console: Console) -> A
     if options.scheduler is not None:
         check_address(options.scheduler)
     order, tasks, out = _asked(options, passed)
-    needed()
-    kept = BatchFolder.of(order, out, tasks if options.resume else ())
-    todo = [task for task in tasks if not kept.done(task)]
+    check_distributed()
+    folder = BatchFolder.of(order, out, tasks if options.resume else ())
+    todo = [task for task in tasks if not folder.done(task)]
     with _workers(options, len(todo)) as pool:
-        kept_inside(out, LOGS)
+        folder_inside(out, LOGS)
         if not options.resume:
-            forget(tasks)
-        kept = replace(kept, tasks=tasks)
-        kept.write()
+            remove_outcomes(tasks)
+        folder = replace(folder, tasks=tasks)
+        folder.write()
         console.resume = _again(options)
         def ended(task: Task, outcome: Outcome) -> None:
-            kept.end(task, outcome)
+            folder.end(task, outcome)
             row = row_of(task, outcome)
             view.ended(f"{task.name}: {row.verdict or row.line or row.state}", failed=not outcome.done)
 
         console.say(f"{len(todo)} runs of mphygs {order.command}; folder {out}")
         # a view of its own in the place of the live line, its clock begun here
-        view = View(Console(console.stream), before=len(tasks) - len(todo), total=len(tasks))
+        view = BatchView(Console(console.stream), before=len(tasks) - len(todo), total=len(tasks))
         dispatch(todo, pool, ended=ended, look=view.look, threads=options.threads)
-    rows = kept.rows()
+    rows = folder.rows()
     failed = any(row.state == "failed" for row in rows)
-    return Answer(kept.answer(), text_of(rows, out), FAILED if failed else DONE)
+    return Answer(folder.answer(), text_of(rows, out), FAILED if failed else DONE)
 
 
 def _asked(options: BatchOptions, passed: tuple[str, ...]) -> tuple[Order, list[Task], Path]:
@@ -155,20 +157,20 @@ def _order(options: BatchOptions, passed: tuple[str, ...], before: Order | None)
         # A plugin is run only where it is named: that of before is not taken from a file.
         if value != began and (value or key == "plugin"):
             raise OptionError(
-                f"{key}: got {_told(value)}, but the batch began with {_told(began)}; expected the same to "
-                "resume"
+                f"{key}: got {_in_words(value)}, but the batch began with {_in_words(began)}; expected the "
+                "same to resume"
             )
     return before
 
 
-def _told(value: object) -> str:
+def _in_words(value: object) -> str:
     """A value in words."""
     return (" ".join(map(str, value)) if isinstance(value, tuple) else str(value or "")) or "none"
 
 
 def _seeds(text: str | None) -> tuple[int, ...]:
     try:
-        found = tuple(int(word) for word in names(text))
+        found = tuple(int(word) for word in split_names(text))
     except ValueError:
         raise OptionError(f"--seeds: got '{text}'; expected numbers separated by commas") from None
     if any(not 0 <= seed < 1 << 64 for seed in found) or len(set(found)) < len(found):
@@ -183,12 +185,12 @@ def _workers(options: BatchOptions, count: int) -> Iterator[Workers | None]:
         yield None
         return
     if options.scheduler is not None:
-        with existing(options.scheduler, "--scheduler") as found:
+        with workers_of_scheduler(options.scheduler, "--scheduler") as found:
             yield found
         return
     cores = available_cores()
     workers = options.workers or min(cores, count)
-    with local(workers, options.threads or max(1, cores // workers)) as found:
+    with local_workers(workers, options.threads or max(1, cores // workers)) as found:
         yield found
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from mphygs.batch.order import Order
 from mphygs.batch.work import Task
 from mphygs.commands.command_table import COMMANDS, module_of
-from mphygs.commands.options import CommonOptions, OptionError, names, read_options
+from mphygs.commands.options import CommonOptions, OptionError, read_options, split_names
 from mphygs.fit.run import folder_name
 
 # Folder of what the runs say while they work.
@@ -56,7 +56,7 @@ def tasks_of(order: Order, options_type: type[CommonOptions], out: Path) -> list
                         folder=folder,
                         words=(order.command, *_line(order, takes, folder, effects, seed, run)),
                         run=run,
-                        kept=out / LOGS,
+                        logs=out / LOGS,
                         place=Path(order.place),
                         limited="workers" in takes,
                         resumable="resume" in takes,
@@ -141,4 +141,4 @@ def _named(word: str) -> str | None:
 
 def effect_lists(text: str | None) -> tuple[str, ...]:
     """What is to be added by each run: names separated by commas, those of one run joined by "+"."""
-    return names(text)
+    return split_names(text)

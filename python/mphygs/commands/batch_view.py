@@ -14,7 +14,7 @@ from mphygs.commands.console import Console, is_terminal
 REDRAWN, TOLD = 0.5, 30.0
 
 
-class View:
+class BatchView:
     """Draws the runs under way with what each said last; on a terminal in the place of the last view.
 
     before: runs that were done when the batch began; total: of all runs.

@@ -57,7 +57,7 @@ def claim(
             is_marked(folder)
             or any(_is_run(folder / name / DOCUMENT) for name in (".", *beside))
             or not found
-            or (found == {alone} and is_written(folder / alone))
+            or (found == {alone} and is_own_file(folder / alone))
         )
         if not known:
             raise OptionError(
@@ -93,7 +93,7 @@ def claim_file(path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
 
 
-def kept_inside(run: Path, name: str) -> Path:
+def folder_inside(run: Path, name: str) -> Path:
     """The folder `name` of a run, made. Raises OptionError where it is a link that leads elsewhere."""
     folder = run / name
     if folder.resolve().parent != run.resolve():
@@ -134,7 +134,7 @@ def _check_place(folder: Path) -> None:
         raise OptionError(f"--out {folder}: {over} is a file; expected a folder")
 
 
-def is_written(path: Path) -> bool:
+def is_own_file(path: Path) -> bool:
     """Whether a file is one that this program writes under its name: told by what is in it."""
     keys = _KEYS.get(path.name)
     try:
@@ -151,7 +151,7 @@ def is_written(path: Path) -> bool:
 
 def _check_written(path: Path) -> None:
     """Raises OptionError for a file of another's making."""
-    if path.is_symlink() or (path.exists() and not is_written(path)):
+    if path.is_symlink() or (path.exists() and not is_own_file(path)):
         raise OptionError(
             f"{path}: was not made here, and would be replaced; expected it elsewhere, or another folder"
         )

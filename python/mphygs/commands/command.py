@@ -115,7 +115,7 @@ def working(options: CommonOptions) -> Iterator[None]:
         yield
 
 
-def told(error: Exception) -> tuple[str, int]:
+def error_line(error: Exception) -> tuple[str, int]:
     """The one line that an error ends in, and its exit code."""
     # numpy's LinAlgError is a ValueError that no input explains.
     at_fault = isinstance(error, (ValueError, FileNotFoundError)) and not isinstance(
@@ -148,7 +148,7 @@ def _guarded(
         console.end()
         if os.environ.get(TRACEBACK_VARIABLE):
             console.say(traceback.format_exc())
-        message, code = told(error)
+        message, code = error_line(error)
         console.say(f"{program}: {message}")
         return None, code
     finally:

@@ -16,21 +16,21 @@ from mphygs.baselines.kinds import maker_of
 from mphygs.capture.format import Capture
 from mphygs.capture.json_values import plain
 from mphygs.capture.written import replace_file
-from mphygs.commands.claim import PICTURES, claim_output, kept_inside
+from mphygs.commands.claim import PICTURES, claim_output, folder_inside
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.options import CommonOptions, check_gain, names
+from mphygs.commands.options import CommonOptions, check_gain, split_names
 from mphygs.compare.assess import Assessment, Compared, in_words
-from mphygs.compare.image_errors import image_table, joined
+from mphygs.compare.image_errors import image_table, joined_errors
 from mphygs.compare.metrics import sensors_document
-from mphygs.compare.pictures import save_figure, sequence_figure
 from mphygs.compare.roughness import doubted_sigma
-from mphygs.compare.sensed import sensor_lines
 from mphygs.compare.sensor_pictures import sensor_figure
+from mphygs.compare.sensor_residuals import sensor_lines
+from mphygs.compare.sequence_pictures import save_figure, sequence_figure
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.of_run import chosen_names, errors_of, experiment_of, feedback_document, pictured_of
+from mphygs.fit.of_run import chosen_names, compared_errors, experiment_of, feedback_document, pictured_of
 from mphygs.fit.run import load_run
-from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, table
+from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, text_table
 
 PROGRAM = "mphygs compare"
 DOCUMENT = "comparison.json"
@@ -60,11 +60,11 @@ class CompareOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(CompareOptions, compare, program=PROGRAM, argv=argv)
+    return run(CompareOptions, compare_command, program=PROGRAM, argv=argv)
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class ComparedRun:
     """Predictions held against their measurements. document: the JSON of it; compared: by sequence."""
 
     document: dict[str, object]
@@ -72,13 +72,13 @@ class Held:
     compared: Mapping[str, Compared]
 
 
-def compare(options: CompareOptions, console: Console) -> Answer:
+def compare_command(options: CompareOptions, console: Console) -> Answer:
     """What was found, as an answer."""
-    document = held_against(options, console).document
+    document = compared_run(options, console).document
     return Answer(document, _text(document))
 
 
-def held_against(options: CompareOptions, console: Console) -> Held:
+def compared_run(options: CompareOptions, console: Console) -> ComparedRun:
     """Predict, hold against the measurement, draw; the finding is kept in the run folder."""
     check_gain(options.feedback)
     state = load_run(options.run)
@@ -86,10 +86,10 @@ def held_against(options: CompareOptions, console: Console) -> Held:
     experiment, belief = experiment_of(
         state, workers=options.workers, other=options.capture, make=maker_of(state)
     )
-    wanted = chosen_names(experiment, names(options.sequences))
+    wanted = chosen_names(experiment, split_names(options.sequences))
     if options.out is not None:
         claim_output(options.out)
-    folder = options.out or kept_inside(state.folder, PICTURES)
+    folder = options.out or folder_inside(state.folder, PICTURES)
     count, begun = len(experiment.compared_names(wanted)), itertools.count()
 
     def predicting(text: str) -> None:
@@ -104,7 +104,7 @@ def held_against(options: CompareOptions, console: Console) -> Held:
     pictured = pictured_of(state, experiment, other=options.capture)
     if pictured is not None:
         drawn = pictured.errors(belief, names=wanted, films=folder, report=console.say)
-        document["sequences"] = joined(document["sequences"], drawn)
+        document["sequences"] = joined_errors(document["sequences"], drawn)
         document["films"] = [str(folder / f"{name}.mp4") for name in drawn]
     document["pictures"] = [str(path) for path in pictures]
     if options.feedback is not None:
@@ -114,7 +114,7 @@ def held_against(options: CompareOptions, console: Console) -> Held:
     document["warnings"] = doubted_sigma(compared)
     if options.capture is None and options.sequences is None:
         replace_file(state.folder / DOCUMENT, json.dumps(plain(document), indent=1) + "\n")
-    return Held(document, experiment, compared)
+    return ComparedRun(document, experiment, compared)
 
 
 def comparison_document(
@@ -123,7 +123,7 @@ def comparison_document(
     """The JSON of a comparison."""
     sensors = sensors_document(compared)
     return {
-        "sequences": errors_of(experiment, compared),
+        "sequences": compared_errors(experiment, compared),
         **({"sensors": sensors} if sensors else {}),
         "adequate": assessment.adequate,
         "p_value": assessment.p_value,
@@ -138,7 +138,7 @@ def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path)
     paths = []
     for name, item in compared.items():
         paths.append(folder / f"{name}.png")
-        save_figure(picture_of(experiment.capture, name, item), paths[-1])
+        save_figure(comparison_figure(experiment.capture, name, item), paths[-1])
         if item.sensors:
             paths.append(folder / f"{name}-sensors.png")
             fps = experiment.capture.sequence(name).fps
@@ -146,7 +146,7 @@ def draw(experiment: Experiment, compared: Mapping[str, Compared], folder: Path)
     return paths
 
 
-def picture_of(capture: Capture, name: str, compared: Compared) -> Figure:
+def comparison_figure(capture: Capture, name: str, compared: Compared) -> Figure:
     """The picture of one sequence of a capture."""
     recording = capture.sequence(name)
     return sequence_figure(
@@ -162,9 +162,9 @@ def picture_of(capture: Capture, name: str, compared: Compared) -> Figure:
 def _text(document: Mapping[str, object]) -> str:
     lines: list[str] = [errors_text(document["sequences"]), ""]
     if document.get("sensors"):
-        lines += [table(sensor_lines(document["sensors"])), ""]
+        lines += [text_table(sensor_lines(document["sensors"])), ""]
     if document.get("films"):
-        lines += [table(image_table(document["sequences"])), ""]
+        lines += [text_table(image_table(document["sequences"])), ""]
     if document.get("feedback"):
         lines += feedback_lines(document["feedback"])
     p_value = document["p_value"]
@@ -179,13 +179,13 @@ def _text(document: Mapping[str, object]) -> str:
         for entry in document["where"][:SHOWN]:
             center = ", ".join(f"{1e3 * x:.1f}" for x in entry["center"])
             rows.append([entry["part"], center, f"{1e3 * entry['rms']:.3f}"])
-        lines += ["", table(rows)]
+        lines += ["", text_table(rows)]
     if document["when"]:
         rows = [["sequence", "frames", "rms mm beyond noise"]]
         for entry in document["when"][:SHOWN]:
             first, last = entry["frames"]
             rows.append([entry["sequence"], f"{first} to {last}", f"{1e3 * entry['rms']:.3f}"])
-        lines += ["", table(rows)]
+        lines += ["", text_table(rows)]
     lines += ["", *(f"picture: {path}" for path in document["pictures"])]
     lines += [f"video beside prediction: {path}" for path in document.get("films", ())]
     return "\n".join(lines)

@@ -12,8 +12,8 @@ from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.options import OptionError
 from mphygs.commands.video_options import PICTURE, TracksOptions
-from mphygs.motion.contact import coarse_contact
-from mphygs.motion.pictures import write_contact_picture
+from mphygs.motion.contact_motion import coarse_contact
+from mphygs.motion.stage_pictures import write_contact_picture
 from mphygs.motion.video_stages import contact_stage
 
 PROGRAM = "mphygs contact"

@@ -15,8 +15,8 @@ import tyro
 from mphygs.capture.json_values import plain
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.options import CommonOptions, OptionError, names
-from mphygs.diagnose.document import advice, diagnosis_text, ranking_document
+from mphygs.commands.options import CommonOptions, OptionError, split_names
+from mphygs.diagnose.diagnosis_document import advice, diagnosis_text, ranking_document
 from mphygs.diagnose.grid_error import allowance_of
 from mphygs.diagnose.missing_force_document import (
     Unexplained,
@@ -29,16 +29,16 @@ from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import path_rows, path_text, table_text
-from mphygs.extend.discover import Discovery, discover
-from mphygs.extend.kept import (
-    Kept,
-    kept_left_out,
-    read_kept,
+from mphygs.extend.discovery import Discovery, discover_effects
+from mphygs.extend.loop_record import (
+    LoopRecord,
+    read_record,
+    recorded_left_out,
     restored_ranking,
     state_of_ranking,
-    write_kept,
+    write_record,
 )
-from mphygs.extend.separate import motions_to_record
+from mphygs.extend.separating_motions import motions_to_record
 from mphygs.extend.step import FAULT, Step, excess
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
@@ -73,12 +73,12 @@ class DiagnoseOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(DiagnoseOptions, diagnose, program=PROGRAM, argv=argv)
+    return run(DiagnoseOptions, diagnose_command, program=PROGRAM, argv=argv)
 
 
 def known_effects(text: str | None) -> tuple[str, ...] | None:
     """Effects of a comma-separated list, None for none given. Raises OptionError for an unknown one."""
-    wanted = names(text)
+    wanted = split_names(text)
     for name in wanted:
         if name not in effects():
             known = ", ".join(sorted(effects()))
@@ -90,7 +90,7 @@ def known_effects(text: str | None) -> tuple[str, ...] | None:
     return wanted or None
 
 
-def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
+def diagnose_command(options: DiagnoseOptions, console: Console) -> Answer:
     """Score every candidate, refit with the best of them, judge on unseen frames; RUN stays as it is."""
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
@@ -102,19 +102,19 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
     so_far = state.folder / SO_FAR
     kept = _so_far(so_far, options) if options.resume else {}
     experiment, belief = experiment_of(
-        replace(state, left_out=kept_left_out(kept) or state.left_out), workers=options.workers
+        replace(state, left_out=recorded_left_out(kept) or state.left_out), workers=options.workers
     )
     spacing = state.settings.spacing
     # Many models are tried on a coarser grid, unless the run stands on one of the user's choice.
     usual = abs(spacing / default_spacing(experiment.capture) - 1.0) < 0.1
     trying = screening_spacing(experiment.capture) if usual else spacing
-    done, earlier = Kept.of(kept, so_far), [restored_ranking(told) for told in kept.get("rankings", [])]
+    done, earlier = LoopRecord.of(kept, so_far), [restored_ranking(told) for told in kept.get("rankings", [])]
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
 
     def keep(rankings: Sequence[Ranking]) -> None:
         told = [state_of_ranking(ranking) for ranking in (*earlier, *rankings)]
         document = done.document(experiment) | {"candidates": options.effects, "rankings": told}
-        write_kept(so_far, plain(document))
+        write_record(so_far, plain(document))
 
     def on_step(step: Step, rankings: Sequence[Ranking]) -> None:
         done.tell(step, experiment)
@@ -128,7 +128,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
         keep(())
     console.resume = _again(options)
     console.working("looking for what is missing")
-    found = discover(
+    found = discover_effects(
         experiment,
         belief,
         trying,
@@ -172,7 +172,7 @@ def diagnose(options: DiagnoseOptions, console: Console) -> Answer:
 
 def _so_far(path: Path, options: DiagnoseOptions) -> dict:
     """What the diagnosis that was stopped had found. Raises OptionError where there is none like it."""
-    kept = read_kept(path)
+    kept = read_record(path)
     if not kept:
         raise OptionError(f"--resume: {path.parent} has no diagnosis that was stopped; expected one")
     if kept.get("candidates") != options.effects:
@@ -244,7 +244,7 @@ def diagnosis_document(
     path: Sequence[Mapping[str, object]] = (),
 ) -> dict[str, object]:
     """The JSON of a diagnosis. entries: see `ranking_entries`; motions: that would tell the first effect from
-    its rival; drift: see `drift_entries`; table: see `Kept.table`; path: see `path_rows`."""
+    its rival; drift: see `drift_entries`; table: see `LoopRecord.table`; path: see `path_rows`."""
     return {
         "verdict": found.verdict,
         "effects": list(found.effects),

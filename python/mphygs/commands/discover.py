@@ -33,11 +33,11 @@ from mphygs.diagnose.missing_force_document import (
 )
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import path_rows, path_text, table_text
-from mphygs.extend.discover import Discovery, discover
-from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
+from mphygs.extend.discovery import Discovery, discover_effects
+from mphygs.extend.first_window import passed_on_the_way
+from mphygs.extend.loop_record import LoopRecord, read_record, recorded_left_out, write_record
 from mphygs.extend.step import FAULT, Step
 from mphygs.extend.steps import run_at, step_at, steps_text
-from mphygs.extend.window import passed_on_the_way
 from mphygs.fit.countdown import duration
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
@@ -84,14 +84,14 @@ class DiscoverOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(DiscoverOptions, loop, program=PROGRAM, argv=argv)
+    return run(DiscoverOptions, discover_command, program=PROGRAM, argv=argv)
 
 
-def loop(options: DiscoverOptions, console: Console) -> Answer:
+def discover_command(options: DiscoverOptions, console: Console) -> Answer:
     """Run the loop; every step is kept in the run folder as soon as it is done."""
     out = options.out or _default_folder(options)
     first = out / FIRST
-    kept = _kept(out) if options.resume else {}
+    kept = _recorded(out) if options.resume else {}
     options = _with_candidates(options, kept, out)
     candidates = known_effects(options.effects)
     check_effects(options.transfer, candidates or ())
@@ -121,10 +121,10 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
     if kept.get("verdict"):
         answer = {key: kept.get(key, []) for key in ANSWER} | {"missing_force": kept.get("missing_force")}
         return Answer(answer, _text(answer, state.capture))
-    begun = replace(state, left_out=kept_left_out(kept))
+    begun = replace(state, left_out=recorded_left_out(kept))
     experiment, belief = experiment_of(begun, workers=options.workers)
     spacing = state.settings.spacing
-    done = Kept.of(kept, out / DOCUMENT)
+    done = LoopRecord.of(kept, out / DOCUMENT)
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
     if screening:
         steps[0] = replace(steps[0], halfway=_halfway(state))
@@ -141,7 +141,7 @@ def loop(options: DiscoverOptions, console: Console) -> Answer:
         console.say("\n".join(steps_text(plain(done.documents[-1:]))))
 
     console.working("looking for what is missing")
-    found = discover(
+    found = discover_effects(
         experiment,
         belief,
         spacing,
@@ -192,19 +192,23 @@ def _default_folder(options: DiscoverOptions) -> Path:
     return RUNS / f"{name}-discover"
 
 
-def _kept(out: Path) -> dict:
+def _recorded(out: Path) -> dict:
     """What the loop in a folder has found so far."""
     if not (out / FIRST).is_dir():
         raise OptionError(f"--resume: {out} holds no loop; expected the --out of an earlier {PROGRAM}")
-    return read_kept(out / DOCUMENT)
+    return read_record(out / DOCUMENT)
 
 
 def _keep(
-    out: Path, done: Kept, experiment: Experiment, options: DiscoverOptions, answer: Mapping | None = None
+    out: Path,
+    done: LoopRecord,
+    experiment: Experiment,
+    options: DiscoverOptions,
+    answer: Mapping | None = None,
 ) -> None:
     """Write the steps so far; with the answer when the loop is done."""
     document = done.document(experiment) | {"candidates": options.effects}
-    write_kept(out / DOCUMENT, plain(document | dict(answer or {})))
+    write_record(out / DOCUMENT, plain(document | dict(answer or {})))
 
 
 def _conclude(
@@ -213,7 +217,7 @@ def _conclude(
     state: Run,
     experiment: Experiment,
     found: Discovery,
-    done: Kept,
+    done: LoopRecord,
     console: Console,
 ) -> dict[str, object]:
     """Write the last model as a run, the first diagnosis beside it; the JSON of the command.

@@ -16,17 +16,17 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import FORCE, UNITS
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.options import CommonOptions, OptionError, names
-from mphygs.compare.sensed import seen_noise
+from mphygs.commands.options import CommonOptions, OptionError, split_names
+from mphygs.compare.sensor_residuals import seen_noise
 from mphygs.diagnose.next_motion import candidate_motions
 from mphygs.fit.examination import Examined, examine, remarks
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.identifiable import Expected, Identifiable, expected_document
-from mphygs.fit.marker_labels import well_labelled
+from mphygs.fit.marker_label_repair import well_labelled
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.schedule import screening_spacing
 from mphygs.fit.start import starting_belief
-from mphygs.fit.tables import table
+from mphygs.fit.tables import text_table
 from mphygs.model.registry import effects
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.measured_start import of_sequence
@@ -68,13 +68,13 @@ class DoctorOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(DoctorOptions, doctor, program=PROGRAM, argv=argv)
+    return run(DoctorOptions, doctor_command, program=PROGRAM, argv=argv)
 
 
-def doctor(options: DoctorOptions, console: Console) -> Answer:
+def doctor_command(options: DoctorOptions, console: Console) -> Answer:
     """Look at a capture; findings are no fault: exit code 0."""
     capture = well_labelled(load_capture(options.capture))
-    for name in names(options.effects):
+    for name in split_names(options.effects):
         if name not in effects():
             known = ", ".join(sorted(effects()))
             raise OptionError(f"--effects: unknown effect '{name}'; expected some of {known}")
@@ -96,7 +96,7 @@ def doctor(options: DoctorOptions, console: Console) -> Answer:
             findings += [f"{recording.name}: {finding.text}" for finding in recording.markers.findings]
             findings += remarks(recording.name, examined[recording.name])
             findings += sensor_remarks(recording)
-        expected, motions, said = _told(capture, settings, options, examined, console)
+        expected, motions, said = _expected(capture, settings, options, examined, console)
         findings += said
     document |= {
         "object": _object(capture),
@@ -163,7 +163,7 @@ def _object(capture: Capture) -> dict[str, object]:
     }
 
 
-def _told(
+def _expected(
     capture: Capture,
     settings: Settings,
     options: DoctorOptions,
@@ -175,7 +175,7 @@ def _told(
         return None, [], ["no sequence has markers and frames to fit; expected a range fit in one of them"]
     experiment = Experiment.of(capture, settings)
     belief = experiment.starting(starting_belief(capture))
-    for name in names(options.effects):
+    for name in split_names(options.effects):
         belief = with_placed_effect(belief, name, capture, tuple(experiment.fitted))
     console.say("looking at what the motion tells, at usual values")
     try:
@@ -228,14 +228,14 @@ def _text(
              "at rest" if e.begins == "rest" else "in motion"]
         )  # fmt: skip
     if examined:
-        lines += [table(rows), ""]
+        lines += [text_table(rows), ""]
     if expected:
         rows = [["expected at usual values", "value", "std", "unit", ""]]
         rows += [
             [key, f"{e.value:.4g}", f"{e.std:.2g}", e.unit, "" if e.determined else "NOT TOLD"]
             for key, e in expected.items()
         ]
-        lines += [table(rows), ""]
+        lines += [text_table(rows), ""]
     lines += [f"- {line}" for line in findings] or ["nothing found that would stand in the way of a fit"]
     told = [motion for motion in motions if motion.tells][:SHOWN]
     if told:

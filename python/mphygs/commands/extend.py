@@ -15,8 +15,8 @@ from mphygs.commands.claim import claim, clear
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.options import CommonOptions, OptionError
-from mphygs.extend.kept import Kept, kept_left_out, read_kept, write_kept
-from mphygs.extend.named import add_named
+from mphygs.extend.loop_record import LoopRecord, read_record, recorded_left_out, write_record
+from mphygs.extend.named_effects import add_effect
 from mphygs.extend.step import FAULT
 from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.fit.of_run import experiment_of
@@ -48,10 +48,10 @@ class ExtendOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(ExtendOptions, extend, program=PROGRAM, argv=argv)
+    return run(ExtendOptions, extend_command, program=PROGRAM, argv=argv)
 
 
-def extend(options: ExtendOptions, console: Console) -> Answer:
+def extend_command(options: ExtendOptions, console: Console) -> Answer:
     """One step per effect; each is kept as asked, and whether it pays on unseen frames is said."""
     # Commas are as good as spaces.
     wanted = [name for word in options.effect for name in word.split(",") if name]
@@ -70,7 +70,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     check_effects(state.transfer, wanted)
     if out.resolve() == source:
         raise OptionError(f"--out {out}: is the run that is extended; expected another folder")
-    kept = _kept(out, wanted) if options.resume else {}
+    kept = _recorded(out, wanted) if options.resume else {}
     if not options.resume:
         claim(out, alone=DOCUMENT)
     again = [PROGRAM, shlex.quote(str(options.run)), *wanted, "--out", shlex.quote(str(out)), "--resume"]
@@ -78,10 +78,10 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
         answer = {key: kept[key] for key in ANSWER}
         return Answer(answer, _text(answer, wanted))
     experiment, belief = experiment_of(
-        replace(state, left_out=kept_left_out(kept) or state.left_out), workers=options.workers
+        replace(state, left_out=recorded_left_out(kept) or state.left_out), workers=options.workers
     )
     spacing = state.settings.spacing
-    done = Kept.of(kept, out / DOCUMENT)
+    done = LoopRecord.of(kept, out / DOCUMENT)
     steps = done.steps(experiment) or [step_at(experiment, belief, spacing)]
     if not done.documents:
         # What the run leaves out of the measurements is an effect of it, though no term of the model.
@@ -91,7 +91,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
             continue
         console.progress(number / len(wanted), f"adding {name}")
         generator = np.random.default_rng((state.seed, number))
-        step, paying = add_named(
+        step, paying = add_effect(
             experiment, steps[-1], name, spacing, generator=generator, report=console.say
         )
         steps.append(step)
@@ -100,7 +100,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
             # Only now: nothing that is at fault may take an older run's results away.
             out.mkdir(parents=True, exist_ok=True)
             clear(out, ("run.json",), plugin=state.options.get("plugin"))
-        write_kept(out / DOCUMENT, plain(done.document(experiment) | {"asked": wanted}))
+        write_record(out / DOCUMENT, plain(done.document(experiment) | {"asked": wanted}))
         console.resume = " ".join(again)
     documents = done.documents
     paying = [name for name, told in zip(wanted, documents[1:], strict=True) if told["pays"]]
@@ -110,7 +110,7 @@ def extend(options: ExtendOptions, console: Console) -> Answer:
     given |= {"command": PROGRAM, "plugin": state.options.get("plugin")}
     extended = run_at(state, out, steps[-1], experiment, options=given, answer=document)
     extended.save()
-    write_kept(out / DOCUMENT, plain(document | {"asked": wanted}))
+    write_record(out / DOCUMENT, plain(document | {"asked": wanted}))
     return Answer(document, _text(document, wanted))
 
 
@@ -128,9 +128,9 @@ def verdict_of(adequate: bool, paying: Sequence[str], explained: bool) -> str:
     return "missing" if physics else "measurement"
 
 
-def _kept(out: Path, wanted: Sequence[str]) -> dict:
+def _recorded(out: Path, wanted: Sequence[str]) -> dict:
     """What was found before it was stopped. Raises OptionError where nothing is kept of these effects."""
-    kept = read_kept(out / DOCUMENT)
+    kept = read_record(out / DOCUMENT)
     if not kept.get("asked"):
         raise OptionError(f"--resume: {out} holds no step of {PROGRAM}; expected the --out of one")
     if kept["asked"] != list(wanted):

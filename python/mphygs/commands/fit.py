@@ -15,16 +15,16 @@ from mphygs.commands.claim import claim, clear
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.fit_options import FitOptions, check_options
-from mphygs.commands.image_stages import has_stages, kept_seconds, run_stages
+from mphygs.commands.image_stages import has_stages, recorded_seconds, run_stages
 from mphygs.commands.in_use import hold
-from mphygs.commands.options import OptionError, names
-from mphygs.fit.answer import answer_of, answer_text
+from mphygs.commands.options import OptionError, split_names
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_text
+from mphygs.fit.fit_document import fit_document, fit_text
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.limits import narrowed_to_seen
-from mphygs.fit.marker_labels import well_labelled
+from mphygs.fit.marker_label_repair import well_labelled
 from mphygs.fit.of_run import HOMOGENEOUS, baseline_of, capture_of, feedback_document
 from mphygs.fit.one_sided import coarser_change, limits_of
 from mphygs.fit.pictured_run import fit_pictured, pictured_belief, with_shares
@@ -45,14 +45,14 @@ _FREE_TO_CHANGE = ("json", "resume", "workers", "out", "intervals", "feedback")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(FitOptions, fit, program=PROGRAM, argv=argv)
+    return run(FitOptions, fit_command, program=PROGRAM, argv=argv)
 
 
-def fit(options: FitOptions, console: Console) -> Answer:
+def fit_command(options: FitOptions, console: Console) -> Answer:
     """Fit, write the run folder, and say what was found and what to run next."""
     state, capture = fitted(options, console)
     embedded = options.capture is None and not options.resume
-    return Answer(dict(state.answer), answer_text(state, capture, embedded=embedded))
+    return Answer(dict(state.answer), fit_text(state, capture, embedded=embedded))
 
 
 def fitted(
@@ -126,8 +126,8 @@ def fitted(
             state.belief.free, state.information, state.covariance, limits
         )
         state = replace(state, information=information, covariance=spread, limits=limits)
-    stages = None if state.stages is None else kept_seconds(state.stages)
-    answer = answer_of(state, experiment, found, stages=stages, report=console.say)
+    stages = None if state.stages is None else recorded_seconds(state.stages)
+    answer = fit_document(state, experiment, found, stages=stages, report=console.say)
     if evaluation is not None:
         answer["sensitivity"] = sensitivity_of(problem, state.belief, evaluation)
     if options.feedback is not None:
@@ -186,7 +186,7 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         out = out or RUNS / folder_name(capture.name)
         claim(out, plugin=options.plugin)
         _check_intervals(options, pictures=has_stages(capture))
-        stages, capture = _seen(options, capture, out, console)
+        stages, capture = _assembled_from_stages(options, capture, out, console)
     if options.baseline not in (None, HOMOGENEOUS, "prior"):
         _check_plain(options, capture)
     if stages is None and options.baseline == "prior":
@@ -197,17 +197,17 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         name = "--without" if options.without else "--stages"
         raise OptionError(f"{name}: {path} has markers; expected a capture in pictures")
     settings = Settings(spacing=options.spacing or default_spacing(capture), transfer=options.transfer)
-    wanted = names(options.sequences)
+    wanted = split_names(options.sequences)
     belief = starting_belief(capture, prestress=options.prestress, law=options.law, preset=options.preset)
     if stages is not None:
         belief = pictured_belief(
-            belief, stages, without=names(options.without), homogeneous=options.baseline == HOMOGENEOUS
+            belief, stages, without=split_names(options.without), homogeneous=options.baseline == HOMOGENEOUS
         )
     for line in starts_text(capture, belief):
         console.say(line)
     experiment = chosen_ranges(capture, settings, wanted, options.frames)
     belief = experiment.starting(belief)
-    for name in names(options.effects):
+    for name in split_names(options.effects):
         belief = with_placed_effect(belief, name, capture, tuple(experiment.fitted))
     given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
     if options.plugin is not None:
@@ -250,7 +250,9 @@ def _in_stages(options: FitOptions) -> bool:
     )
 
 
-def _seen(options: FitOptions, capture: Capture, out: Path, console: Console) -> tuple[Path | None, Capture]:
+def _assembled_from_stages(
+    options: FitOptions, capture: Capture, out: Path, console: Console
+) -> tuple[Path | None, Capture]:
     """Folder of the stages, None where none is needed, and the capture with what they found."""
     if not has_stages(capture):
         return None, capture

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from mphygs.baselines.kinds import Baseline
-from mphygs.commands.options import CommonOptions, OptionError, check_gain, names
+from mphygs.commands.options import CommonOptions, OptionError, check_gain, split_names
 from mphygs.fit.of_run import HOMOGENEOUS
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS
@@ -85,7 +85,7 @@ def check_options(options: FitOptions) -> None:
     """Options that can be judged without the capture."""
     check_gain(options.feedback)
     known = effects()
-    for name in names(options.effects):
+    for name in split_names(options.effects):
         if name not in known:
             raise OptionError(
                 f"--effects: unknown effect '{name}'; expected some of {', '.join(sorted(known))}"
@@ -95,15 +95,15 @@ def check_options(options: FitOptions) -> None:
     if options.workers is not None and options.workers < 1:
         raise OptionError(f"--workers: got {options.workers}; expected 1 or more")
     if options.schedule == "paper":
-        check_windows(names(options.effects))
+        check_windows(split_names(options.effects))
         if options.optimiser == "lbfgs":
             raise OptionError("--optimiser lbfgs: not with --schedule paper, whose optimiser is adam")
-    for name in names(options.without):
+    for name in split_names(options.without):
         if name not in PARTS:
             raise OptionError(f"--without: unknown '{name}'; expected some of {', '.join(PARTS)}")
     if options.baseline is not None:
         _check_baseline(options)
-    check_effects(options.transfer, names(options.effects))
+    check_effects(options.transfer, split_names(options.effects))
 
 
 def _check_baseline(options: FitOptions) -> None:

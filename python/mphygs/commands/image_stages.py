@@ -79,7 +79,7 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
     line, where a stage failed; what was done before is kept.
     """
     folder = run / STAGES
-    seconds = kept_seconds(folder)
+    seconds = recorded_seconds(folder)
     stages = missing_stages(capture, folder)
     for number, stage in enumerate(stages):
         if stage.done:
@@ -100,7 +100,7 @@ def run_stages(capture: Capture, path: Path, run: Path, console: Console) -> dic
     return seconds
 
 
-def kept_seconds(folder: Path) -> dict[str, float]:
+def recorded_seconds(folder: Path) -> dict[str, float]:
     """Seconds of the stages that were run, by name."""
     path = folder / SECONDS
     if not path.is_file():

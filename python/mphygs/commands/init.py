@@ -14,9 +14,9 @@ import numpy as np
 import tyro
 
 from mphygs.capture.document import Entry
+from mphygs.capture.draft import Files, MarkerFile, find_files, read_marker_file, rest_of, sequence_entry
 from mphygs.capture.files import transforms_files
 from mphygs.capture.format import load_capture
-from mphygs.capture.gathered import Files, Tracks, find_files, read_tracks, rest_of, sequence_entry
 from mphygs.capture.layouts import read_scale, unit_remarks
 from mphygs.capture.save import FORMAT
 from mphygs.capture.written import replace_file
@@ -68,10 +68,10 @@ class InitOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(InitOptions, init, program=PROGRAM, argv=argv)
+    return run(InitOptions, init_command, program=PROGRAM, argv=argv)
 
 
-def init(options: InitOptions, console: Console) -> Answer:
+def init_command(options: InitOptions, console: Console) -> Answer:
     """Write capture.json, sure that it can be read; where it cannot be, it is taken away again."""
     folder = options.folder
     if not folder.is_dir():
@@ -197,7 +197,7 @@ def _sequences(
     found: list[dict[str, object]] = []
     views = dict(files.views)
     for path in files.markers:
-        tracks = read_tracks(options.folder, path, scale=options.marker_scale, fps=options.fps)
+        tracks = read_marker_file(options.folder, path, scale=options.marker_scale, fps=options.fps)
         if tracks.file != path.name:
             made.append(options.folder / tracks.file)
         name = path.stem.removesuffix("_markers").removesuffix("-markers")
@@ -237,7 +237,7 @@ def _rate(options: InitOptions, known: float | None, of: str, console: Console) 
 def _entry(
     options: InitOptions,
     name: str,
-    tracks: Tracks | None,
+    tracks: MarkerFile | None,
     held: Sequence[Mapping[str, object]],
     fps: float,
     frames: int,

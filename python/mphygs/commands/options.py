@@ -33,7 +33,7 @@ class CommonOptions:
 OptionsType = TypeVar("OptionsType", bound=CommonOptions)
 
 
-def names(text: str | None) -> tuple[str, ...]:
+def split_names(text: str | None) -> tuple[str, ...]:
     """The names of a comma-separated list; none for None and for an empty text."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 

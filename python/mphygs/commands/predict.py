@@ -14,15 +14,15 @@ from mphygs.baselines.kinds import maker_of
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.written import replace_arrays
-from mphygs.commands.claim import claim_output, kept_inside
+from mphygs.commands.claim import claim_output, folder_inside
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.options import CommonOptions, OptionError, names
-from mphygs.compare.image_errors import image_table, joined
+from mphygs.commands.options import CommonOptions, OptionError, split_names
+from mphygs.compare.image_errors import image_table, joined_errors
 from mphygs.fit.object_points import predict_points
-from mphygs.fit.of_run import errors_of, experiment_of, pictured_of
+from mphygs.fit.of_run import compared_errors, experiment_of, pictured_of
 from mphygs.fit.run import load_run
-from mphygs.fit.tables import errors_text, parameters_of, table
+from mphygs.fit.tables import errors_text, parameters_of, text_table
 from mphygs.scene.surface import SurfaceSamples, exposed_surface
 from mphygs.simulate.prediction import Prediction
 
@@ -50,20 +50,20 @@ class PredictOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(PredictOptions, predict, program=PROGRAM, argv=argv)
+    return run(PredictOptions, predict_command, program=PROGRAM, argv=argv)
 
 
-def predict(options: PredictOptions, console: Console) -> Answer:
+def predict_command(options: PredictOptions, console: Console) -> Answer:
     """Simulate every frame of the sequences; positions of markers and surface go to one .npz each."""
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(
         state, workers=options.workers, other=options.capture, make=maker_of(state)
     )
-    recordings = _chosen(experiment.capture, names(options.sequences))
+    recordings = _chosen(experiment.capture, split_names(options.sequences))
     if options.out is not None:
         claim_output(options.out)
-    folder = options.out or kept_inside(state.folder, PREDICTIONS)
+    folder = options.out or folder_inside(state.folder, PREDICTIONS)
     spacing = state.settings.spacing
     surface = surface_points(experiment.capture)
     found: dict[str, dict[str, object]] = {}
@@ -82,12 +82,12 @@ def predict(options: PredictOptions, console: Console) -> Answer:
         }
     measured = [r.name for r in recordings if r.name in experiment.compared_names()]
     compared = experiment.compare(belief, spacing, names=measured, jacobian=False) if measured else {}
-    errors = errors_of(experiment, compared)
+    errors = compared_errors(experiment, compared)
     pictured = pictured_of(state, experiment, other=options.capture)
     drawn: dict[str, dict] = {}
     if pictured is not None:
         drawn = pictured.errors(belief, names=list(found), films=folder, report=console.say)
-        errors = joined(errors, drawn)
+        errors = joined_errors(errors, drawn)
     for name, ranges in errors.items():
         found[name] |= ranges
     for name in drawn:
@@ -97,7 +97,7 @@ def predict(options: PredictOptions, console: Console) -> Answer:
     if measured:
         lines += ["", errors_text({name: found[name] for name in measured})]
     if drawn:
-        lines += ["", table(image_table({name: found[name] for name in drawn}))]
+        lines += ["", text_table(image_table({name: found[name] for name in drawn}))]
     return Answer({"run": str(state.folder), "sequences": found}, "\n".join(lines))
 
 

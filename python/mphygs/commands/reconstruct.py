@@ -25,8 +25,8 @@ from mphygs.commands.console import Console
 from mphygs.commands.options import CommonOptions, OptionError
 from mphygs.render.contact_sheet import contact_sheet
 from mphygs.render.density_control import DensityRule
+from mphygs.render.gaussian_reconstruction import ReconstructionSettings, reconstruct
 from mphygs.render.image_metrics import image_metrics, mean_metrics
-from mphygs.render.reconstruct import ReconstructionSettings, reconstruct
 from mphygs.render.splatting import splat
 from mphygs.scene.agreement import check_first_frame
 from mphygs.scene.gaussians import Gaussians
@@ -76,7 +76,7 @@ def reconstruct_command(options: ReconstructOptions, console: Console) -> Answer
     }
     lines = [f"{gaussians.count} Gaussians in {StageFolder.of(options.out).gaussians} ({_of(state)})"]
     if capture.views is not None:
-        photographs = shrunk(rest_views_of(capture).read(), options.longest)
+        photographs = [p.within(options.longest) for p in rest_views_of(capture).read()]
         metrics = {p.camera.name: image_metrics(splat(gaussians, p.camera), p) for p in photographs}
         mean = mean_metrics(metrics.values())
         worst = min(metrics, key=lambda name: metrics[name].iou)
@@ -140,21 +140,16 @@ def _photographs(
 ) -> list[Photograph]:
     """The rest views, held against the first frames of all motions seen in views."""
     console.say(f"reading {len(rest.views)} rest views")
-    photographs = shrunk(rest.read(), options.longest)
+    photographs = [p.within(options.longest) for p in rest.read()]
     for sequence in capture.sequences:
         if sequence.views is None:
             continue
         views = sequence_views_of(sequence, rest)
-        first = shrunk(views.read(0), options.longest)
+        first = [p.within(options.longest) for p in views.read(0)]
         where = f'sequence "{sequence.name}"'
         found = check_first_frame(photographs, first, views.correspondences, where=where)
         console.say(f"{where} fits: size {found.size:.2f}, colours {found.colours:.0%} in common")
     return photographs
-
-
-def shrunk(photographs: Sequence[Photograph], longest: int) -> list[Photograph]:
-    """Pictures of at most `longest` pixels along a side, by whole factors."""
-    return [p.shrunk(int(np.ceil(max(p.camera.width, p.camera.height) / longest))) for p in photographs]
 
 
 def _reconstructed(

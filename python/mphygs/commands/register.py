@@ -12,9 +12,9 @@ from mphygs.capture.rotation import rotation_vector_from_quaternion
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.video_options import PICTURE, VideoOptions
-from mphygs.motion.pictures import write_register_picture
 from mphygs.motion.rigid import RigidMotion
 from mphygs.motion.stage_files import Registered
+from mphygs.motion.stage_pictures import write_register_picture
 from mphygs.motion.video_stages import register_stage
 
 PROGRAM = "mphygs register"

@@ -19,15 +19,14 @@ from mphygs.commands.console import Console
 from mphygs.commands.diagnose import DOCUMENT as DIAGNOSIS
 from mphygs.commands.extend import DOCUMENT as STEPS
 from mphygs.commands.options import CommonOptions
-from mphygs.compare.image_errors import joined
+from mphygs.compare.image_errors import joined_errors
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
-from mphygs.extend.told import check_models, read_diagnosis, read_steps
+from mphygs.extend.document_checks import check_models, read_diagnosis, read_steps
 from mphygs.fit.of_run import chosen_names, experiment_of, pictured_of
 from mphygs.fit.run import Run, load_run
 from mphygs.fit.tables import parameters_of
-from mphygs.report.contents import Contents
-from mphygs.report.filmed import BUDGET as FILMED
-from mphygs.report.filmed import Filmed
+from mphygs.report.film_frames import BUDGET as FILMED
+from mphygs.report.film_frames import Filmed
 from mphygs.report.models import (
     SEQUENCES,
     TOTAL,
@@ -36,7 +35,8 @@ from mphygs.report.models import (
     scene_document,
     vertices_for,
 )
-from mphygs.report.page import page
+from mphygs.report.page import report_page
+from mphygs.report.page_contents import Contents
 from mphygs.report.sensor_chart import sensors_chart
 from mphygs.report.skin import skin_of
 
@@ -57,10 +57,10 @@ class ReportOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(ReportOptions, report, program=PROGRAM, argv=argv)
+    return run(ReportOptions, report_command, program=PROGRAM, argv=argv)
 
 
-def report(options: ReportOptions, console: Console) -> Answer:
+def report_command(options: ReportOptions, console: Console) -> Answer:
     """Compare, draw, and write the page; diagnosis and steps are in it when they are in the run folder."""
     state = load_run(options.run)
     parameters = parameters_of(state)
@@ -94,7 +94,7 @@ def report(options: ReportOptions, console: Console) -> Answer:
         drawn = pictured.errors(
             belief, names=wanted, report=console.say, see=lambda name, one: seen[name].add(one)
         )
-        comparison["sequences"] = joined(comparison["sequences"], drawn)
+        comparison["sequences"] = joined_errors(comparison["sequences"], drawn)
         chosen = list(drawn)[:SEQUENCES]
         films = {
             name: seen[name].document(f"film-{k}", FILMED // len(chosen)) for k, name in enumerate(chosen)
@@ -113,7 +113,7 @@ def report(options: ReportOptions, console: Console) -> Answer:
         hidden=[name for name in wanted if name not in shown],
         sensors=sensors_chart(compared, {s.name: s.fps for s in experiment.capture.sequences}),
     )
-    replace_file(out, page(contents))
+    replace_file(out, report_page(contents))
     return Answer({"run": str(state.folder), "report": str(out)}, f"report: {out}")
 
 

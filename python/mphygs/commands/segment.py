@@ -23,11 +23,11 @@ from mphygs.commands.claim import claim
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.options import CommonOptions, OptionError
-from mphygs.commands.reconstruct import ReconstructOptions, rest_stage, shrunk
+from mphygs.commands.reconstruct import ReconstructOptions, rest_stage
 from mphygs.render.found_object import ObjectSettings, found_object
 from mphygs.render.gaussian_features import gaussian_features
-from mphygs.render.looking_round import pictures_all_round
 from mphygs.render.object_picture import object_picture
+from mphygs.render.orbit_views import pictures_all_round
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.object_files import (
     GaussianFeatures,
@@ -77,10 +77,10 @@ class SegmentOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(SegmentOptions, segment, program=PROGRAM, argv=argv)
+    return run(SegmentOptions, segment_command, program=PROGRAM, argv=argv)
 
 
-def segment(options: SegmentOptions, console: Console) -> Answer:
+def segment_command(options: SegmentOptions, console: Console) -> Answer:
     """Make the stages unless they are there; draw them; say what the segments are."""
     console.resume = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(options.out))}"
     settings = _settings(options)
@@ -249,7 +249,7 @@ def _settings(options: SegmentOptions) -> ObjectSettings:
 def _photographs(capture: Capture, gaussians: Gaussians, options: SegmentOptions) -> list[Photograph]:
     if capture.views is None:
         return pictures_all_round(gaussians, size=min(options.longest, _SIZE_ROUND))
-    return shrunk(rest_views_of(capture).read(), options.longest)
+    return [p.within(options.longest) for p in rest_views_of(capture).read()]
 
 
 def _report(console: Console, start: float, end: float) -> Callable[[float, str], None]:

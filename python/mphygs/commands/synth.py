@@ -14,12 +14,12 @@ import tyro
 from mphygs.commands.claim import claim_capture
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.options import CommonOptions, OptionError, names
+from mphygs.commands.options import CommonOptions, OptionError, split_names
 from mphygs.commands.synth_flower import main as flower
 from mphygs.synth.drive import Drive
 from mphygs.synth.faults import DEFAULTS as FAULTS
 from mphygs.synth.make import make_capture
-from mphygs.synth.markers import NOISES, Noise
+from mphygs.synth.marker_noise import NOISES, Noise
 from mphygs.synth.recipe import Recipe, default_takes, recipe
 from mphygs.synth.shapes import shape
 
@@ -91,10 +91,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     if given[:1] == ["flower"]:
         return flower(given[1:])
-    return run(SynthOptions, synth, program=PROGRAM, argv=argv)
+    return run(SynthOptions, synth_command, program=PROGRAM, argv=argv)
 
 
-def synth(options: SynthOptions, console: Console) -> Answer:
+def synth_command(options: SynthOptions, console: Console) -> Answer:
     """Make the capture and say what is hidden in it."""
     claim_capture(options.out)
     made_of = _recipe(options)
@@ -122,7 +122,7 @@ def _recipe(options: SynthOptions) -> Recipe:
         raise OptionError(f"--frames: got {options.frames}; expected 8 or more")
     if not 0.3 <= options.spacing_share <= 2.0:
         raise OptionError(f"--spacing-share: got {options.spacing_share}; expected 0.3 to 2")
-    faults, hidden = names(options.fault), names(options.hidden)
+    faults, hidden = split_names(options.fault), split_names(options.hidden)
     for text in faults:
         if text.split(":")[0] not in FAULTS:
             raise OptionError(f"--fault: unknown fault '{text}'; expected some of {', '.join(FAULTS)}")
@@ -135,7 +135,7 @@ def _recipe(options: SynthOptions) -> Recipe:
         takes=default_takes(
             shape(kind),
             frames=options.frames,
-            kinds=names(options.motion),
+            kinds=split_names(options.motion),
             start=options.start,
             drive=None if options.drive is None else Drive.parse(options.drive),
         ),
@@ -143,7 +143,7 @@ def _recipe(options: SynthOptions) -> Recipe:
         spacing_share=options.spacing_share,
         known=options.known,
         simulator=options.simulator,
-        sensors=names(options.sensors),
+        sensors=split_names(options.sensors),
     )
 
 

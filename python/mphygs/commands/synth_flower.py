@@ -12,10 +12,10 @@ import tyro
 
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.options import CommonOptions, OptionError, names
+from mphygs.commands.options import CommonOptions, OptionError, split_names
 from mphygs.synth.flower.catalogue import SPECIES
-from mphygs.synth.flower.make import make_flower
-from mphygs.synth.flower.shoot import Shoot
+from mphygs.synth.flower.flower_capture import make_flower
+from mphygs.synth.flower.recording_settings import Shoot
 from mphygs.synth.make import Made
 
 PROGRAM = "mphygs synth flower"
@@ -53,10 +53,10 @@ class FlowerOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(FlowerOptions, synth_flower, program=PROGRAM, argv=argv)
+    return run(FlowerOptions, flower_command, program=PROGRAM, argv=argv)
 
 
-def synth_flower(options: FlowerOptions, console: Console) -> Answer:
+def flower_command(options: FlowerOptions, console: Console) -> Answer:
     """Make the captures and say what is in them."""
     chosen = _chosen(options.species)
     try:
@@ -73,7 +73,7 @@ def synth_flower(options: FlowerOptions, console: Console) -> Answer:
 
         folder = options.out if len(chosen) == 1 else options.out / name
         made = make_flower(
-            name, folder, hidden=names(options.hidden), seed=options.seed, shoot=shoot, report=tell
+            name, folder, hidden=split_names(options.hidden), seed=options.seed, shoot=shoot, report=tell
         )
         documents.append(_document(name, made))
         lines += _text(name, made)
@@ -94,7 +94,7 @@ def _arguments(options: FlowerOptions) -> list[str]:
 
 
 def _chosen(given: tuple[str, ...]) -> tuple[str, ...]:
-    chosen = tuple(dict.fromkeys(name for text in given for name in names(text))) or ("daisy",)
+    chosen = tuple(dict.fromkeys(name for text in given for name in split_names(text))) or ("daisy",)
     if chosen == ("all",):
         return tuple(SPECIES)
     for name in chosen:

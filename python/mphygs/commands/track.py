@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.video_options import PICTURE, TracksOptions
-from mphygs.motion.pictures import frames_shown, write_track_picture
+from mphygs.motion.stage_pictures import frames_shown, write_track_picture
 from mphygs.motion.video_stages import track_stage
 
 PROGRAM = "mphygs track"

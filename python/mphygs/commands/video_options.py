@@ -14,7 +14,7 @@ from mphygs.capture.layouts import SCALES
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.stages import StageFolder
 from mphygs.commands.claim import claim
-from mphygs.commands.options import CommonOptions, OptionError, names
+from mphygs.commands.options import CommonOptions, OptionError, split_names
 from mphygs.motion.tracking import TrackingRule
 from mphygs.motion.video_stages import VideoRun
 
@@ -74,7 +74,7 @@ class VideoOptions(CommonOptions):
         if self.sequences is None:
             return run.recordings()
         try:
-            return [run.capture.sequence(name) for name in names(self.sequences)]
+            return [run.capture.sequence(name) for name in split_names(self.sequences)]
         except KeyError as error:
             raise OptionError(f"--sequences: {error.args[0]}") from error
 

@@ -14,12 +14,12 @@ import tyro
 from mphygs.capture.json_values import plain
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.options import CommonOptions, OptionError, names
+from mphygs.commands.options import CommonOptions, OptionError, split_names
 from mphygs.fit.of_run import chosen_names, experiment_of
 from mphygs.fit.run import load_run
 from mphygs.fit.tables import parameters_of
 from mphygs.report.live import live_page, live_server, moved_belief, without_effects
-from mphygs.report.models import VERTICES, Model, motion_of, scene_document
+from mphygs.report.models import VERTICES, ShownModel, motion_of, scene_document
 from mphygs.report.skin import skin_of
 
 PROGRAM = "mphygs view"
@@ -44,17 +44,17 @@ class ViewOptions(CommonOptions):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    return run(ViewOptions, view, program=PROGRAM, argv=argv)
+    return run(ViewOptions, view_command, program=PROGRAM, argv=argv)
 
 
-def view(options: ViewOptions, console: Console) -> Answer:
+def view_command(options: ViewOptions, console: Console) -> Answer:
     """Serve the page until Ctrl-C."""
     if not 0 <= options.port < 65536:
         raise OptionError(f"--port: got {options.port}; expected 0 to 65535")
     state = load_run(options.run)
     parameters_of(state)  # complete, or an error
     experiment, belief = experiment_of(state, workers=options.workers)
-    wanted = chosen_names(experiment, names(options.sequences))
+    wanted = chosen_names(experiment, split_names(options.sequences))
 
     skin = skin_of(experiment.capture.parts, VERTICES)
 
@@ -64,7 +64,7 @@ def view(options: ViewOptions, console: Console) -> Answer:
         if name not in wanted:
             raise ValueError(f"sequence '{name}': expected one of {', '.join(wanted)}")
         moved = without_effects(moved_belief(belief, positions), off)
-        model = Model("model", moved, state.settings.spacing)
+        model = ShownModel("model", moved, state.settings.spacing)
         motion, error = motion_of(experiment, (model,), name, state, skin)
         rms = float(np.sqrt(np.nanmean(error**2)))
         return plain({"motion": motion, "rms": rms, "over_noise": rms / motion["sigma"] / np.sqrt(3.0)})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mphygs.compare.noise import Observation
-from mphygs.compare.sensed import ComparedSensor
+from mphygs.compare.sensor_residuals import ComparedSensor
 
 
 @dataclass(frozen=True, eq=False)

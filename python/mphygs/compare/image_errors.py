@@ -20,7 +20,7 @@ FILMED = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class ComparedFrame:
     """One frame: what is predicted for each camera, and what it saw."""
 
     frame: int
@@ -28,7 +28,7 @@ class Shown:
     photographs: Sequence[Photograph]
 
 
-def frame_metrics(shown: Shown) -> ImageMetrics:
+def frame_metrics(shown: ComparedFrame) -> ImageMetrics:
     """Mean over the cameras of one frame."""
     pairs = zip(shown.pictures, shown.photographs, strict=True)
     return mean_metrics(image_metrics(picture, photograph) for picture, photograph in pairs)
@@ -73,7 +73,7 @@ class Film:
         """Where it is written, until it is whole."""
         return self.path.with_name(f".part-{os.getpid()}-{self.path.name}")
 
-    def add(self, shown: Shown) -> None:
+    def add(self, shown: ComparedFrame) -> None:
         """One frame more. Raises OSError where no video can be written."""
         rows = [
             np.concatenate([p.colour * p.mask[..., None], picture.colour.detach().numpy()], axis=1)
@@ -105,7 +105,7 @@ def image_table(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]
     return rows
 
 
-def joined(
+def joined_errors(
     points: Mapping[str, Mapping[str, Mapping[str, object] | None]],
     images: Mapping[str, Mapping[str, Mapping[str, float] | None]],
 ) -> dict[str, dict[str, dict[str, object] | None]]:

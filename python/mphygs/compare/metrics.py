@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from mphygs.compare.assess import Compared
-from mphygs.compare.sensed import sensor_errors
+from mphygs.compare.sensor_residuals import sensor_errors
 
 RANGES = ("fit", "predict", "all")
 

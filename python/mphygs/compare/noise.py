@@ -11,9 +11,9 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence
 from mphygs.capture.track_faults.scatter import SeenSigma, own_noise, seen_sigma
 from mphygs.compare.autoregression import Autoregression
+from mphygs.compare.masked_means import mean_seen
 from mphygs.compare.noise_course import noise_course
-from mphygs.compare.seen import mean_seen
-from mphygs.compare.sensed import Sensed, sensed
+from mphygs.compare.sensor_residuals import SensorObservation, sensor_observations
 from mphygs.compare.whitening import MINIMUM_REST_FRAMES, NoiseModel, Whitener, noise_from_rest
 from mphygs.simulate.body import Attachment
 
@@ -40,7 +40,7 @@ class Observation:
     weight: np.ndarray
     stated: float | None = None
     seen: SeenSigma | None = None
-    sensors: tuple[Sensed, ...] = ()
+    sensors: tuple[SensorObservation, ...] = ()
     course: np.ndarray | None = None
     _whiteners: dict = field(default_factory=dict, init=False, repr=False)
 
@@ -91,7 +91,7 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
     position = np.asarray(markers.position, float)
     if markers.spread is not None:
         noise, whole = _noise_of_tracks(markers), np.ones(position.shape[1])
-        return Observation(position, noise, whole, sensors=sensed(recording))
+        return Observation(position, noise, whole, sensors=sensor_observations(recording))
     rest, what = None, ""
     times = np.arange(recording.frames) / recording.fps
     if recording.release is not None and recording.release >= 20:
@@ -160,7 +160,9 @@ def observe(recording: Sequence, attachment: Attachment) -> Observation:
         low, high = 1e3 * sigma * course.min(), 1e3 * sigma * course.max()
         changes = f"not the same in all frames: {low:.2g} to {high:.2g} mm, each is weighed by its own"
         noise = replace(noise, source=f"{noise.source}; {changes}")
-    return Observation(position, noise, np.ones(position.shape[1]), stated, seen, sensed(recording), course)
+    return Observation(
+        position, noise, np.ones(position.shape[1]), stated, seen, sensor_observations(recording), course
+    )
 
 
 def noise_document(observations: Mapping[str, Observation]) -> dict[str, dict[str, object]]:

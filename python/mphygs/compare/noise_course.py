@@ -37,7 +37,7 @@ def noise_course(position: np.ndarray) -> np.ndarray | None:
     if frames < 2 * STRETCH:
         return None
     begins = np.unique(np.r_[np.arange(0, frames - STRETCH, APART), frames - STRETCH])
-    found = np.array([_told(position[a : a + STRETCH]) for a in begins])
+    found = np.array([_growth(position[a : a + STRETCH]) for a in begins])
     known = np.isfinite(found[:, 0])
     if known.sum() < FEWEST or known.mean() < SHARE:
         return None
@@ -53,7 +53,7 @@ def noise_course(position: np.ndarray) -> np.ndarray | None:
     return course / np.sqrt(np.mean(course**2))
 
 
-def _told(position: np.ndarray) -> tuple[float, float, float]:
+def _growth(position: np.ndarray) -> tuple[float, float, float]:
     """Logarithms of the noise of a stretch by either way, and their error; NaN where it does not tell."""
     nothing = (np.nan, np.nan, np.nan)
     seen = seen_sigma(position)

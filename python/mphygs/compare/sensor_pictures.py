@@ -7,8 +7,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mphygs.compare.assess import Compared
-from mphygs.compare.pictures import BAND, FITTED_SHADE, MEASURED, PREDICTED
-from mphygs.compare.sensed import quantity_label
+from mphygs.compare.sensor_residuals import quantity_label
+from mphygs.compare.sequence_pictures import BAND, FITTED_SHADE, MEASURED, PREDICTED
 
 
 def sensor_figure(compared: Compared, *, name: str, fps: float) -> Figure:

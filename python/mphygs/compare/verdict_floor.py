@@ -13,7 +13,7 @@ from scipy.stats import chi2, f
 from mphygs.compare.allowance import Allowance
 from mphygs.compare.blocks import Block, Blocks
 from mphygs.compare.holm import holm
-from mphygs.compare.projection import RANK_TOLERANCE, project_out
+from mphygs.compare.residual_projection import RANK_TOLERANCE, project_out
 
 Array = NDArray[np.float64]
 

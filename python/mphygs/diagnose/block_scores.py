@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mphygs.compare.blocks import Blocks
-from mphygs.compare.projection import Projection
+from mphygs.compare.residual_projection import Projection
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from mphygs.compare.noise import Observation
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import find_scale, forget, stiffened
+from mphygs.fit.schedule import find_scale, stiffened, with_materials_at_prior
 from mphygs.model.belief import Belief
 from mphygs.model.descriptor import EffectSpec, ParameterSpec
 from mphygs.model.registry import effect
@@ -279,7 +279,7 @@ def search(
 def softer(problem: Problem, belief: Belief) -> list[tuple[Belief, Evaluation]]:
     """Beliefs with all parts of one material, softer than fits the first frames best, and their evaluations;
     those that cannot be simulated left out. Raises SimulationError where none at all can be."""
-    alike, found = find_scale(problem, forget(belief)), []
+    alike, found = find_scale(problem, with_materials_at_prior(belief)), []
     for share in SOFTER:
         soft = stiffened(alike, share)
         try:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from mphygs.diagnose.missing_force import Found
-from mphygs.diagnose.swings import swing_frequencies
-from mphygs.simulate.fields import primal
+from mphygs.diagnose.leading_frequencies import swing_frequencies
+from mphygs.diagnose.missing_force import SequenceForce
+from mphygs.simulate.fields import core_inputs
 
 AXES = "xyz"
 # Times of forgetting of the memory features [s].
@@ -77,7 +77,7 @@ class PointMotion:
     surface_velocity: np.ndarray
 
     @classmethod
-    def of(cls, found: Found) -> PointMotion:
+    def of(cls, found: SequenceForce) -> PointMotion:
         """The motion that a missing force has led to."""
         predictor, motion = found.seen.forced.predictor, found.motion
         body, model = predictor.body, found.seen.forced.model(motion.belief)
@@ -85,7 +85,7 @@ class PointMotion:
         node, weight, slope = model.weights(q.points.reshape(-1, 3), body.point_cell)
         frames = len(motion.timeline.frames)
         u, v = (_midway(a, frames) for a in (motion.displacement, motion.velocity))
-        mass = primal(motion.belief, body)["mass"].ravel()
+        mass = core_inputs(motion.belief, body)["mass"].ravel()
         points, part = q.points.reshape(-1, 3), body.point_part.ravel()
         area, at = np.zeros(0), np.zeros((0, 3))
         cell = np.zeros((0, 3), np.int32)
@@ -248,7 +248,7 @@ KINDS: dict[str, Kind] = {
 }  # fmt: skip
 
 
-def library(motion: PointMotion, course: np.ndarray) -> list[Feature]:
+def candidate_features(motion: PointMotion, course: np.ndarray) -> list[Feature]:
     """All terms that are tried. course: (T, 3) mean missing force [N/kg], whose strongest frequencies give
     the harmonics; points of attraction are put around the object."""
     parts: list[str | None] = [None]

@@ -27,7 +27,7 @@ MOST, SURE = 0.5, 3.0
 
 
 @dataclass(frozen=True)
-class Term:
+class FormulaTerm:
     """One term of a formula. expression: what the coefficient multiplies; unit, std: of the coefficient;
     stability: share of the resamples that choose it or one of those alike, expressions not told from it."""
 
@@ -51,7 +51,7 @@ class Formula:
     did not stay, with the share of the resamples that chose it, the most often chosen first; untold: why
     terms that stayed are no formula, empty where there is one or none stayed."""
 
-    terms: tuple[Term, ...]
+    terms: tuple[FormulaTerm, ...]
     explained: float
     unstable: tuple[tuple[str, float], ...]
     untold: str = ""
@@ -239,7 +239,7 @@ def find_formula(
     if not kept:
         return Formula((), 0.0, unstable, untold)
     terms = [
-        Term(
+        FormulaTerm(
             k, expressions[k], units[k], float(c), float(s), float(frequency[k]),
             tuple(expressions[j] for j in np.flatnonzero(spokesman == k) if j != k),
         )  # fmt: skip

@@ -15,7 +15,7 @@ INTERNAL = 0.2
 POWERFUL, ONE_WAY = 0.3, 0.8
 # Share of the square that a function of time alone, or of place alone, must explain.
 ALONE = 0.8
-# Share of the square that the stretch of time in `when` holds.
+# Share of the square that the stretch of time in `force_time` holds.
 STRETCH = 0.5
 WORDS = {
     "internal": "its sums and moments are near zero: internal",
@@ -54,7 +54,7 @@ def rms(samples: Sequence[ForceSample]) -> float:
     return float(np.sqrt(sum(s.square.sum() for s in samples) / sum(len(s.force) for s in samples)))
 
 
-def direction(samples: Sequence[ForceSample]) -> np.ndarray:
+def mean_direction(samples: Sequence[ForceSample]) -> np.ndarray:
     """(3,) unit vector of the mean force; of the axis along which it goes to and fro where it has none."""
     weighted = [(s.force * (s.mass / s.mass.sum())[:, None]).sum(1) for s in samples]
     mean = np.concatenate(weighted).mean(0)
@@ -65,7 +65,7 @@ def direction(samples: Sequence[ForceSample]) -> np.ndarray:
     return axis * np.sign(axis[np.abs(axis).argmax()])
 
 
-def where(samples: Sequence[ForceSample]) -> list[dict[str, object]]:
+def force_place(samples: Sequence[ForceSample]) -> list[dict[str, object]]:
     """Parts by their share of the squared force, the largest first: part, its strongest place at rest or when
     first seen [m], rms [N/kg] over the part, share."""
     total = sum(float(s.square.sum()) for s in samples)
@@ -94,7 +94,7 @@ def where(samples: Sequence[ForceSample]) -> list[dict[str, object]]:
     return sorted(found, key=lambda entry: -entry["share"])
 
 
-def when(samples: Sequence[ForceSample]) -> list[dict[str, object]]:
+def force_time(samples: Sequence[ForceSample]) -> list[dict[str, object]]:
     """Of each sequence the shortest stretch of frames that holds half of the squared force, and the rms
     [N/kg] over it; the strongest first."""
     found = []

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mphygs.diagnose.force_features import KINDS, Feature, PointMotion, library
+from mphygs.diagnose.force_features import KINDS, Feature, PointMotion, candidate_features
 from mphygs.diagnose.force_formula import Formula, Regression, find_formula
-from mphygs.diagnose.missing_force import Found, MissingForce
+from mphygs.diagnose.missing_force import MissingForce, SequenceForce
 from mphygs.diagnose.missing_force_model import Channels
 from mphygs.fit.damped_step import secant
 from mphygs.fit.problem import Problem
@@ -37,7 +37,7 @@ class Base:
     """A motion to linearise about. found: the run of every sequence, with its force."""
 
     belief: Belief
-    found: Mapping[str, Found]
+    found: Mapping[str, SequenceForce]
 
     @property
     def residual(self) -> np.ndarray:
@@ -69,7 +69,7 @@ def formula_of(
     say = report or (lambda _text: None)
     motions = {name: PointMotion.of(found) for name, found in missing.found.items()}
     first = next(iter(missing.found))
-    features = library(motions[first], mean_course(missing.found[first]))
+    features = candidate_features(motions[first], mean_course(missing.found[first]))
     if len(features) > FINALISTS:
         features = _screened(missing, motions, features)
     # Along the motion that is nearly the measured one, once and for all.
@@ -224,7 +224,7 @@ def _normal(problem: Problem, now: Base, slopes: np.ndarray) -> tuple[np.ndarray
     return matrix.T @ matrix, matrix.T @ right
 
 
-def mean_course(found: Found) -> np.ndarray:
+def mean_course(found: SequenceForce) -> np.ndarray:
     """(T, 3) [N/kg] mean force over the mass, at the frames in use."""
     basis = found.seen.basis
     course = basis.over_time(found.values)[: found.seen.last]

@@ -8,7 +8,7 @@ import numpy as np
 
 from mphygs.compare.allowance import Allowance, modulated_directions
 from mphygs.compare.assess import MODULATIONS
-from mphygs.compare.sensed import Sensed, sensor_blocks
+from mphygs.compare.sensor_residuals import SensorObservation, sensor_blocks
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
@@ -43,7 +43,7 @@ def _of_sequence(
 
 
 def _readings(
-    sensors: Sequence[Sensed], lacking: Sequence[Reading], first: int, last: int
+    sensors: Sequence[SensorObservation], lacking: Sequence[Reading], first: int, last: int
 ) -> np.ndarray:
     """(N,) what readings lack, in the rows of a fit."""
     return np.concatenate(

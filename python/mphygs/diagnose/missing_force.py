@@ -20,7 +20,7 @@ from mphygs.diagnose.missing_force_model import Channels, SeenForce, curvature
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.forced import ForcedMotion, ForcedSequence
+from mphygs.simulate.forced_motion import ForcedMotion, ForcedSequence
 from mphygs.simulate.prediction import acts_in_simulation
 
 # Above this misfit [sigma] the motion is followed in stages, over these shares of the frames.
@@ -39,7 +39,7 @@ WEAKEST, STRONGEST = 1e-6, 1e8
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SequenceForce:
     """The missing force of one sequence. values: (H, C, 3) [N/kg]; motion: with it."""
 
     seen: SeenForce
@@ -53,7 +53,7 @@ class MissingForce:
     """belief: the parameters beside the force; before, after: chi^2 without and with it; rows: N."""
 
     belief: Belief
-    found: Mapping[str, Found]
+    found: Mapping[str, SequenceForce]
     before: float
     after: float
     rows: int
@@ -117,7 +117,7 @@ def missing_force(
         count = iterations if share == stages[-1] else min(iterations, STAGE_ITERATIONS)
         state, strength = _descend(narrow, channels, state, count, share, say)
         channels_at = state.belief
-    found = {n: Found(seen[n], state.values[n], state.motions[n], state.residuals[n]) for n in seen}
+    found = {n: SequenceForce(seen[n], state.values[n], state.motions[n], state.residuals[n]) for n in seen}
     return MissingForce(state.belief, found, before, state.chi_square, rows, strength)
 
 

@@ -14,15 +14,23 @@ from mphygs.capture.errors import fault
 from mphygs.capture.patterns import LARGEST
 from mphygs.capture.tensors import read_tensors
 from mphygs.diagnose.force_plugin import EFFECT, plugin_text
-from mphygs.diagnose.force_readings import WORDS, ForceSample, direction, nature, rms, when, where
+from mphygs.diagnose.force_readings import (
+    WORDS,
+    ForceSample,
+    force_place,
+    force_time,
+    mean_direction,
+    nature,
+    rms,
+)
 from mphygs.diagnose.force_regression import Explained, formula_of
-from mphygs.diagnose.missing_force import Found, MissingForce, missing_force
+from mphygs.diagnose.missing_force import MissingForce, SequenceForce, missing_force
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import same_file
 from mphygs.fit.schedule import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
-from mphygs.simulate.fields import primal
+from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.settings import TOTAL_LAGRANGIAN
 
 NUMBERS, PLUGIN = "missing-force.safetensors", "missing_force.py"
@@ -47,9 +55,9 @@ class Unexplained:
         formula = self.explained.formula
         return {
             "rms": rms(self.samples),
-            "direction": [float(x) for x in direction(self.samples)],
-            "where": where(self.samples),
-            "when": when(self.samples),
+            "direction": [float(x) for x in mean_direction(self.samples)],
+            "where": force_place(self.samples),
+            "when": force_time(self.samples),
             "formula": formula.text if formula.terms else None,
             "nature": nature(self.samples),
             "terms": [
@@ -154,11 +162,11 @@ def keep_missing_force(found: Unexplained | None, folder: Path, plugin: str | Pa
         found.save(folder)
 
 
-def sample_of(name: str, found: Found) -> ForceSample:
+def sample_of(name: str, found: SequenceForce) -> ForceSample:
     """The force of one sequence at its moving frames, per mass as the parameters beside it have it."""
     seen, motion, basis = found.seen, found.motion, found.seen.basis
     body = seen.forced.predictor.body
-    mass = np.bincount(basis.point_cell, primal(motion.belief, body)["mass"].ravel())
+    mass = np.bincount(basis.point_cell, core_inputs(motion.belief, body)["mass"].ravel())
     moving = motion.timeline.moving
     force = basis.over_time(found.values)[moving] * (basis.mass / mass)[:, None]
     share = basis.spread / basis.mass

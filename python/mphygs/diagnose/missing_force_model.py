@@ -10,8 +10,8 @@ from mphygs.compare.noise import Observation
 from mphygs.compare.whitening import Whitener
 from mphygs.diagnose.missing_force_basis import ForceBasis, force_basis
 from mphygs.model.belief import Belief
-from mphygs.simulate.fields import primal
-from mphygs.simulate.forced import ForcedMotion, ForcedSequence
+from mphygs.simulate.fields import core_inputs
+from mphygs.simulate.forced_motion import ForcedMotion, ForcedSequence
 from mphygs.simulate.modes import Modes, natural_modes
 from mphygs.simulate.prediction import Predictor
 
@@ -36,7 +36,7 @@ class SeenForce:
         forced = ForcedSequence(predictor, span[1])
         q, model = predictor.body.quadrature, forced.model(belief)
         node, weight, _ = model.weights(q.points.reshape(-1, 3), predictor.body.point_cell)
-        mass = primal(belief, predictor.body)["mass"]
+        mass = core_inputs(belief, predictor.body)["mass"]
         moving = forced.timeline(belief).moving
         basis = force_basis(predictor.body, mass, node, weight, model.node_count, moving)
         return cls(name, forced, basis, observation, span[0])

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mphygs.capture.motions import Motion, hold_poses
+from mphygs.capture.motions import HoldMovement, hold_poses
 from mphygs.capture.record import Capture
 from mphygs.capture.record import Sequence as Recording
+from mphygs.compare.masked_means import mean_seen
 from mphygs.compare.noise import Observation
-from mphygs.compare.seen import mean_seen
+from mphygs.diagnose.effect_variants import EffectVariant
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, ScoreTable
 from mphygs.diagnose.ties import separating_motions
-from mphygs.diagnose.ways import Way
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor
@@ -38,7 +38,7 @@ class Proposed:
     separation: float
 
 
-def leading_frequency(observation: Observation, fps: float, frames: tuple[int, int]) -> float:
+def motion_frequency(observation: Observation, fps: float, frames: tuple[int, int]) -> float:
     """Frequency [Hz] at which the markers move most; that of one period where they hardly move."""
     moved = observation.position[slice(*frames)]
     moved = np.nan_to_num(moved - mean_seen(moved, 0))
@@ -68,8 +68,10 @@ def candidate_motions(
         for name, axis in AXES.items():
             by = tuple(size * a for a in axis)
             timing = {"frequency": f, "ramp": min(1.0 / f, 0.4 * stop)}
-            shake = Motion("shake", 0.0, stop, by=by, **timing)
-            rock = Motion("rock", 0.0, stop, axis=axis, degrees=ANGLE * min(1.0, 1.0 / factor), **timing)
+            shake = HoldMovement("shake", 0.0, stop, by=by, **timing)
+            rock = HoldMovement(
+                "rock", 0.0, stop, axis=axis, degrees=ANGLE * min(1.0, 1.0 / factor), **timing
+            )
             for motion, text in (
                 (shake, f"shake the hold along {name} at {f:.2g} Hz by {1e3 * size:.2g} mm"),
                 (rock, f"rock the hold about {name} at {f:.2g} Hz by {rock.degrees:.2g} degrees"),
@@ -85,8 +87,8 @@ def propose(
     predictor: Predictor,
     observation: Observation,
     belief: Belief,
-    leader: Way,
-    rival: Way,
+    leader: EffectVariant,
+    rival: EffectVariant,
     increment: np.ndarray,
     *,
     report: Callable[[str], None] | None = None,
@@ -97,7 +99,7 @@ def propose(
     of the leader, in units of its parameters.
     """
     recording = predictor.recording
-    frequency = leading_frequency(observation, recording.fps, recording.fit)
+    frequency = motion_frequency(observation, recording.fps, recording.fit)
     motions = candidate_motions(predictor.capture, recording, frequency)
     tables = {}
     for number, (text, motion) in enumerate(motions.items()):
@@ -112,9 +114,11 @@ def propose(
     return tuple(Proposed(*item) for item in found)
 
 
-def _table(predictor: Predictor, belief: Belief, ways: tuple[Way, Way], sigma: float) -> ScoreTable:
+def _table(
+    predictor: Predictor, belief: Belief, variants: tuple[EffectVariant, EffectVariant], sigma: float
+) -> ScoreTable:
     """Information of a motion not yet recorded: the residual is zero."""
-    columns = [pair for way in ways for pair in way.columns]
+    columns = [pair for variant in variants for pair in variant.columns]
     keys = [p.key for p in belief.free if not p.key.endswith(".release_shift")]
     prediction = predictor.predict(belief, keys=keys, candidates=columns)
     slopes = np.r_[np.ones(len(keys)), [p.slope for _, p in columns]]
@@ -122,14 +126,19 @@ def _table(predictor: Predictor, belief: Belief, ways: tuple[Way, Way], sigma: f
     prior = np.diag([belief[key].prior_residual[1] for key in keys])
     jacobian = np.vstack([tangents[:, : len(keys)], prior])
     tangents = np.vstack([tangents[:, len(keys) :], np.zeros((len(keys), len(columns)))])
-    first = len(ways[0].columns)
+    first = len(variants[0].columns)
     candidates = [
-        Candidate(name=way.label, tangent=columns, lower_bounded=way.bounded, null=np.zeros(len(way.columns)))
-        for way, columns in zip(ways, (tangents[:, :first], tangents[:, first:]), strict=True)
+        Candidate(
+            name=variant.label,
+            tangent=columns,
+            lower_bounded=variant.bounded,
+            null=np.zeros(len(variant.columns)),
+        )
+        for variant, columns in zip(variants, (tangents[:, :first], tangents[:, first:]), strict=True)
     ]
     return score_candidates(
         np.zeros(len(jacobian)), jacobian, candidates, generator=np.random.default_rng(0)
     )
 
 
-__all__ = ["Proposed", "candidate_motions", "leading_frequency", "propose"]
+__all__ = ["Proposed", "candidate_motions", "motion_frequency", "propose"]

@@ -9,18 +9,18 @@ import numpy as np
 
 from mphygs.compare.allowance import Allowance
 from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
+from mphygs.diagnose.effect_variants import LATE, EffectVariant, late_variants, smooth_variants
+from mphygs.diagnose.interpolated_places import variants_between
+from mphygs.diagnose.local_scores import Spots
 from mphygs.diagnose.multiplicity import simulate_family
-from mphygs.diagnose.places import ways_between
+from mphygs.diagnose.periodic_variants import periodic_variants
 from mphygs.diagnose.power import detectable_strength
-from mphygs.diagnose.ranking import LEVEL, Entry, Ranking, lost
+from mphygs.diagnose.ranking import LEVEL, RankedEffect, Ranking, unsimulated
+from mphygs.diagnose.refit_starts import other_starts, refit_start
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
-from mphygs.diagnose.shaking import shaking_ways
-from mphygs.diagnose.spots import Spots
-from mphygs.diagnose.starts import other_starts, start_of
 from mphygs.diagnose.ties import tied_with
-from mphygs.diagnose.tried import tried_effects
-from mphygs.diagnose.ways import LATE, Way, late_ways, smooth_ways
+from mphygs.diagnose.trial_ranking import rank_by_trials
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
 from mphygs.fit.problem import Evaluation, Problem
@@ -44,13 +44,13 @@ def _stack(
     experiment: Experiment,
     problem: Problem,
     belief: Belief,
-    ways: Sequence[Way],
+    variants: Sequence[EffectVariant],
     report: Callable[[str], None] | None,
     generator: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened Jacobian columns of all ways over the fitted frames, (N, Q), in the order of the ways, and of
+    """Whitened Jacobian columns of all variants over the fitted frames, (N, Q), in their order, and of
     decoys that are as smooth, (N, DECOYS)."""
-    columns = [pair for way in ways for pair in way.columns]
+    columns = [pair for variant in variants for pair in variant.columns]
     blocks, decoys, sensors = [], [], []
     for name, (first, last) in problem.ranges.items():
         if report:
@@ -76,25 +76,25 @@ def _simulable(
     experiment: Experiment,
     problem: Problem,
     belief: Belief,
-    ways: Sequence[Way],
+    variants: Sequence[EffectVariant],
     misfit: float,
     report: Callable[[str], None] | None,
-) -> tuple[list[Way], list[Entry]]:
-    """The ways of those effects that can be simulated beside the model at their null, and the others, each
-    with the reason. misfit: of the model [sigma]. Raises SimulationError where there is none."""
+) -> tuple[list[EffectVariant], list[RankedEffect]]:
+    """The variants of those effects that can be simulated beside the model at their null, and the others,
+    each with the reason. misfit: of the model [sigma]. Raises SimulationError where there is none."""
     failed: dict[str, SimulationError] = {}
-    for name in dict.fromkeys(way.effect for way in ways):
-        own = [way for way in ways if way.effect == name]
+    for name in dict.fromkeys(variant.effect for variant in variants):
+        own = [variant for variant in variants if variant.effect == name]
         try:
             _stack(experiment, problem, belief, own, None, np.random.default_rng(0))
         except SimulationError as error:
             failed[name] = error
             if report:
                 report(f"{name} is left out, for it cannot be simulated: {error}")
-    left = [way for way in ways if way.effect not in failed]
+    left = [variant for variant in variants if variant.effect not in failed]
     if not left and failed:
         raise next(iter(failed.values()))
-    struck = [lost(name, name, str(error), belief, misfit) for name, error in failed.items()]
+    struck = [unsimulated(name, name, str(error), belief, misfit) for name, error in failed.items()]
     return left, struck
 
 
@@ -139,33 +139,35 @@ def rank(
     full_jacobian = np.vstack([jacobian, prior])
     body = next(iter(problem.predictors.values())).body
     hung = masses_of_loads(experiment.capture, list(problem.ranges))
-    ways = smooth_ways(belief, body, names=names, hung=hung)
+    variants = smooth_variants(belief, body, names=names, hung=hung)
     worst = evaluation.worst
     first, last = problem.ranges[worst]
     misfit = experiment.observations[worst].position[first:last] - evaluation.positions[worst][first:last]
     fps = experiment.capture.sequence(worst).fps
-    ways += shaking_ways(belief, body.transfer, misfit, fps, first / fps, names=names)
+    variants += periodic_variants(belief, body.transfer, misfit, fps, first / fps, names=names)
     if _off_at_the_start(experiment, problem, evaluation):
-        ways += late_ways(belief, body, names=names)
+        variants += late_variants(belief, body, names=names)
     # Decoys draw numbers of their own: the rest is the same with and without them.
     draw, struck = generator.spawn(1)[0], []
     try:
-        tangents, fakes = _stack(experiment, problem, belief, ways, report, draw)
+        tangents, fakes = _stack(experiment, problem, belief, variants, report, draw)
     except SimulationError:
-        ways, struck = _simulable(experiment, problem, belief, ways, evaluation.misfit, report)
-        tangents, fakes = _stack(experiment, problem, belief, ways, report, draw)
+        variants, struck = _simulable(experiment, problem, belief, variants, evaluation.misfit, report)
+        tangents, fakes = _stack(experiment, problem, belief, variants, report, draw)
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
-    between = ways_between(belief, body, ways, tangents, full_residual, full_jacobian)
+    between = variants_between(belief, body, variants, tangents, full_residual, full_jacobian)
     if between:
         more, _ = _stack(experiment, problem, belief, between, None, np.random.default_rng(0))
-        ways = [*ways, *between]
+        variants = [*variants, *between]
         tangents = np.hstack([tangents, np.vstack([more, np.zeros((len(prior), more.shape[1]))])])
     candidates, at = [], 0
-    for way in ways:
-        count = len(way.columns)
+    for variant in variants:
+        count = len(variant.columns)
         columns = tangents[:, at : at + count]
         candidates.append(
-            Candidate(name=way.label, tangent=columns, lower_bounded=way.bounded, null=np.zeros(count))
+            Candidate(
+                name=variant.label, tangent=columns, lower_bounded=variant.bounded, null=np.zeros(count)
+            )
         )
         at += count
     known = allowance or Allowance()
@@ -179,25 +181,27 @@ def rank(
     family = simulate_family(table, generator=generator) if testable else None
     decoys, decoy_statistic = _decoys(full_residual, full_jacobian, fakes, known, generator.spawn(1)[0])
     spots = Spots.of(experiment, problem, full_residual, full_jacobian, known)
-    best: dict[str, tuple[Way, Score]] = {}
-    tangent_of = {way.label: candidate.tangent for way, candidate in zip(ways, candidates, strict=True)}
-    for way, score in zip(ways, table.scores, strict=True):
+    best: dict[str, tuple[EffectVariant, Score]] = {}
+    tangent_of = {
+        variant.label: candidate.tangent for variant, candidate in zip(variants, candidates, strict=True)
+    }
+    for variant, score in zip(variants, table.scores, strict=True):
         worth = score.drop - 2 * score.parameter_count if score.testable else -np.inf
-        old = best.get(way.effect)
+        old = best.get(variant.effect)
         if old is None or worth > (old[1].drop - 2 * old[1].parameter_count if old[1].testable else -np.inf):
-            best[way.effect] = (way, score)
-    names_of = {way.label: way.effect for way in ways}
+            best[variant.effect] = (variant, score)
+    names_of = {variant.label: variant.effect for variant in variants}
     entries = struck
-    for name, (way, score) in best.items():
-        entry = _entry(name, way, score, table, family, names_of, belief, rows)
-        if "place" in way.settings and not way.form and LATE.items() <= way.settings.items():
-            entry = replace(entry, others=_elsewhere(way, score, ways, table, belief))
+    for name, (variant, score) in best.items():
+        entry = _entry(name, variant, score, table, family, names_of, belief, rows)
+        if "place" in variant.settings and not variant.form and LATE.items() <= variant.settings.items():
+            entry = replace(entry, others=_next_best_starts(variant, score, variants, table, belief))
         if score.testable:
-            parameters = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
-            entry = replace(entry, spots=spots.of_columns(tangent_of[way.label], parameters))
+            parameters = [p.key.rsplit(".", 1)[1] for _, p in variant.columns]
+            entry = replace(entry, spots=spots.of_columns(tangent_of[variant.label], parameters))
         entries.append(replace(entry, stands_out=decoys.stands_out(score) if decoys else None))
     if trials:
-        tried = tried_effects(
+        tried = rank_by_trials(
             experiment, belief, evaluation, problem, share, full_residual, full_jacobian, generator, names,
             report,
         )  # fmt: skip
@@ -208,20 +212,22 @@ def rank(
     return Ranking(tuple(entries), chi_square, rows, table, decoys, decoy_statistic, drift)
 
 
-def _elsewhere(
-    best: Way, score: Score, ways: Sequence[Way], table: ScoreTable, belief: Belief
+def _next_best_starts(
+    best: EffectVariant, score: Score, variants: Sequence[EffectVariant], table: ScoreTable, belief: Belief
 ) -> tuple[Belief, ...]:
-    """Starts of an effect in its next best ways that promise nearly as much as the best one."""
+    """Starts of an effect in its next best variants that promise nearly as much as the best one."""
     rest = [
-        (other.drop, way, other)
-        for way, other in zip(ways, table.scores, strict=True)
-        if way is not best and way.effect == best.effect and way.settings.keys() == best.settings.keys()
+        (other.drop, variant, other)
+        for variant, other in zip(variants, table.scores, strict=True)
+        if variant is not best
+        and variant.effect == best.effect
+        and variant.settings.keys() == best.settings.keys()
     ]
     near = sorted((item for item in rest if item[0] > NEARLY_AS_MUCH * score.drop), key=lambda item: -item[0])
-    return tuple(start_of(way, other.estimate, belief) for _, way, other in near[:ELSEWHERE])
+    return tuple(refit_start(variant, other.estimate, belief) for _, variant, other in near[:ELSEWHERE])
 
 
-def _with_trials(entries: Sequence[Entry], trials: Sequence[Entry]) -> list[Entry]:
+def _with_trials(entries: Sequence[RankedEffect], trials: Sequence[RankedEffect]) -> list[RankedEffect]:
     """One entry for every effect: its trial where that holds its own against what its tangents promise."""
     tried = {entry.effect: entry for entry in trials}
     kept = []
@@ -257,26 +263,26 @@ def _decoys(
 
 def _entry(
     name: str,
-    way: Way,
+    variant: EffectVariant,
     score: Score,
     table: ScoreTable,
     family: object,
     names_of: dict[str, str],
     belief: Belief,
     rows: int,
-) -> Entry:
+) -> RankedEffect:
     # What takes the place of something else is estimated from there.
     replaces = effect(name).replaces
-    null = np.array([p.value if replaces else 0.0 for _, p in way.columns])
-    public = labels = [p.key.rsplit(".", 1)[1] for _, p in way.columns]
+    null = np.array([p.value if replaces else 0.0 for _, p in variant.columns])
+    public = labels = [p.key.rsplit(".", 1)[1] for _, p in variant.columns]
     if len(set(labels)) < len(labels):
         labels = [f"{label}_{k}" for k, label in enumerate(labels)]
     estimate = score.estimate + null
     kind = effect(name).kind
     if not score.testable:
-        return Entry(
+        return RankedEffect(
             name,
-            way.label,
+            variant.label,
             kind,
             0.0,
             1.0,
@@ -286,24 +292,26 @@ def _entry(
             belief,
             reason=score.reason,
         )
-    tied = {names_of[t.rival] for t in tied_with(table, way.label)} - {name}
-    return Entry(
+    tied = {names_of[t.rival] for t in tied_with(table, variant.label)} - {name}
+    return RankedEffect(
         name,
-        way.label,
+        variant.label,
         kind,
         float(score.drop),
         float(family.p_value(score)),
         float(np.sqrt(max(score.expected_chi_square, 0.0) / rows)),
         dict(zip(labels, map(float, estimate), strict=True)),
         dict(zip(labels, map(float, score.std), strict=True)),
-        start_of(way, estimate, belief),
+        refit_start(variant, estimate, belief),
         tuple(sorted(tied)),
-        detectable=_detectable(way, public, score, len(table.scores)),
-        others=other_starts(way, score, belief),
+        detectable=_detectable(variant, public, score, len(table.scores)),
+        others=other_starts(variant, score, belief),
     )
 
 
-def _detectable(way: Way, parameters: Sequence[str], score: Score, family: int) -> dict[str, float]:
+def _detectable(
+    variant: EffectVariant, parameters: Sequence[str], score: Score, family: int
+) -> dict[str, float]:
     """Smallest size of each parameter that would have been found among so many candidates, where any would.
 
     Of one that has several columns (a sine and a cosine, axes of a slope) in whichever of them it is; of what
@@ -312,6 +320,6 @@ def _detectable(way: Way, parameters: Sequence[str], score: Score, family: int) 
     strengths: dict[str, float] = {}
     sizes = detectable_strength(score, level=LEVEL, family=family)
     for parameter, size in zip(parameters, sizes, strict=True):
-        if way.form != "anchor" or parameter not in strengths:
+        if variant.form != "anchor" or parameter not in strengths:
             strengths[parameter] = max(float(size), strengths.get(parameter, 0.0))
     return {parameter: size for parameter, size in strengths.items() if np.isfinite(size)}

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mphygs.diagnose.decoys import DecoyCheck
+from mphygs.diagnose.local_scores import Spot
 from mphygs.diagnose.score_table import ScoreTable
-from mphygs.diagnose.spots import Spot
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 
@@ -16,7 +16,7 @@ LEVEL = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class RankedEffect:
     """One effect in its best way.
 
     start: belief to refit from; others: beliefs that a refit starts from as well; statistic: predicted
@@ -48,7 +48,7 @@ class Ranking:
     decoys: how effects that do nothing score on the same data; decoy_statistic: the largest drop of chi^2
     that one of them predicts; drift: fitted coordinates that would have to change for a while, and where."""
 
-    entries: tuple[Entry, ...]
+    entries: tuple[RankedEffect, ...]
     chi_square: float
     rows: int
     table: ScoreTable | None
@@ -57,6 +57,6 @@ class Ranking:
     drift: tuple[Spot, ...] = ()
 
 
-def lost(name: str, label: str, why: str, belief: Belief, misfit: float) -> Entry:
+def unsimulated(name: str, label: str, why: str, belief: Belief, misfit: float) -> RankedEffect:
     """An effect that cannot be simulated beside a model, with the reason. misfit: of that model [sigma]."""
-    return Entry(name, label, effect(name).kind, 0.0, 1.0, misfit, {}, {}, belief, reason=why)
+    return RankedEffect(name, label, effect(name).kind, 0.0, 1.0, misfit, {}, {}, belief, reason=why)

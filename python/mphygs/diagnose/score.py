@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
-from mphygs.compare.projection import RANK_TOLERANCE, project_out
+from mphygs.compare.residual_projection import RANK_TOLERANCE, project_out
 from mphygs.diagnose.cone import cone_maximum, cone_weights, mixture_p_value, mixture_p_value_of_share
 from mphygs.diagnose.score_table import Array, Candidate, Score, ScoreTable
 

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from mphygs.diagnose.ways import extent, forms, placements, strengths, vector
+from mphygs.diagnose.effect_variants import extent, placements, scanned_values, strengths, vector_values
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.descriptor import EffectSpec, ParameterSpec
@@ -67,7 +67,7 @@ def threshold_trials(
     ]
 
 
-def sets_in(spec: EffectSpec) -> tuple[ParameterSpec, ...]:
+def onset_levels(spec: EffectSpec) -> tuple[ParameterSpec, ...]:
     """The levels at which a threshold effect sets in: they are tried where it is not absent, as a time is."""
     return tuple(
         p for p in spec.of_role("level") if p.fitted and not _span(p)[0] <= p.null <= _span(p)[1]
@@ -140,7 +140,7 @@ class _Scan:
     def __init__(
         self, spec: EffectSpec, problem: Problem, belief: Belief, evaluation: Evaluation
     ) -> None:
-        self.spec, self.levels, self._before = spec, sets_in(spec), belief
+        self.spec, self.levels, self._before = spec, onset_levels(spec), belief
         self.name = next(iter(problem.ranges))
         self.problem = problem.with_ranges({self.name: problem.ranges[self.name]})
         self.predictor = self.problem.predictors[self.name]
@@ -152,8 +152,8 @@ class _Scan:
         """Places, directions and further levels at which the effect may be tried."""
         body, anchors = self.predictor.body, self.spec.of_role("anchor")
         for place, settings in placements(body, self.spec, {}):
-            tied = vector(anchors, np.asarray(settings["place"])) if anchors else {}
-            for said, values in forms(body, self.spec, without=self.levels):
+            tied = vector_values(anchors, np.asarray(settings["place"])) if anchors else {}
+            for said, values in scanned_values(body, self.spec, without=self.levels):
                 yield _Form(f"{place}{said}".lstrip(" ,"), values | tied, settings)
 
     def best_form(self) -> _Form:

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mphygs.diagnose.ranking import Entry, Ranking
+from mphygs.diagnose.ranking import RankedEffect, Ranking
 from mphygs.extend.refit import Refit
 from mphygs.extend.step import Step, excess
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.limits import FAR
-from mphygs.fit.tables import table
+from mphygs.fit.tables import text_table
 from mphygs.model.belief import Belief
 
 Row = dict[str, object]
@@ -48,7 +48,7 @@ def candidate_rows(
 
 
 def _row(
-    entry: Entry, refit: Refit | None, before: Belief, struck: str | None, kept: Step | None
+    entry: RankedEffect, refit: Refit | None, before: Belief, struck: str | None, kept: Step | None
 ) -> Row:
     gain = None if refit is None else refit.gain
     ties = kept.ties if kept is not None and entry.effect in kept.added else ()
@@ -71,7 +71,7 @@ def _row(
     }
 
 
-def with_told(
+def with_fitted_numbers(
     rows: Sequence[Mapping[str, object]], parameters: Mapping[str, Mapping[str, object]], added: Sequence[str]
 ) -> list[Row]:
     """Rows in which the numbers of what was added are those that its step is told with, a standard error of
@@ -102,7 +102,7 @@ def _numbers(refit: Refit) -> tuple[dict[str, float], dict[str, float]]:
     }
 
 
-def _spent(entry: Entry, before: Belief) -> int:
+def _spent(entry: RankedEffect, before: Belief) -> int:
     """How many numbers an effect takes: those that are fitted, and those that were chosen for it."""
     free = [p for p in entry.start.free if p.key not in before and p.key.startswith(f"{entry.effect}.")]
     settings = next((t.settings for t in entry.start.terms if t.name == entry.effect), {})
@@ -110,7 +110,7 @@ def _spent(entry: Entry, before: Belief) -> int:
 
 
 def _struck(
-    entry: Entry,
+    entry: RankedEffect,
     refitted: Mapping[str, Refit],
     fates: Mapping[str, str],
     best: str,
@@ -174,7 +174,7 @@ def table_text(rows: Sequence[Mapping[str, object]]) -> list[str]:
             [row["effect"], f"{row['predicted_drop']:.0f}", gain, str(row["numbers"]), _told(row), fate or ""]
         )
     more = [f"and {len(rows) - SHOWN} more"] if len(rows) > SHOWN else []
-    return ["", *table(cells).splitlines(), *more]
+    return ["", *text_table(cells).splitlines(), *more]
 
 
 def _told(row: Mapping[str, object]) -> str:
@@ -198,4 +198,4 @@ def path_text(rows: Sequence[Mapping[str, object]]) -> list[str]:
                 "-" if row["grid"] is None else f"{row['grid']:.2f}",
             ]
         )
-    return ["", *table(cells).splitlines()]
+    return ["", *text_table(cells).splitlines()]

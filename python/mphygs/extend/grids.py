@@ -8,18 +8,18 @@ from dataclasses import replace
 
 from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR
 from mphygs.diagnose.grid_error import may_have_all
-from mphygs.extend.finer import (
+from mphygs.extend.finer_grid import (
     LENDS,
-    closest,
-    compared_again,
-    compared_by,
-    finer,
-    lender_of,
+    best_fitting,
+    compared_as_step,
+    compared_on_both_grids,
+    jacobian_source,
+    on_finer_grid,
     with_tangents,
 )
-from mphygs.extend.met_again import met_again
+from mphygs.extend.onset_transfer import onset_on_grid
 from mphygs.extend.refit import AT_FLOOR, NEAR_FLOOR
-from mphygs.extend.simplest import without_loads
+from mphygs.extend.simplest_recordings import sequences_without_loads
 from mphygs.extend.step import (
     EXPLAINED,
     LARGELY,
@@ -32,8 +32,8 @@ from mphygs.extend.step import (
     staying,
 )
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution, minimise, told
-from mphygs.fit.places import relocated
+from mphygs.fit.levenberg_marquardt import Solution, minimise, report_of_iterations
+from mphygs.fit.place_fit import relocated
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import (
     deciding_spacing,
@@ -65,11 +65,11 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
     deciding = deciding_spacing(experiment.capture)
     if last.spacing < 1.1 * deciding:
         return None
-    if leaves_most(steps) and not sets_in(last) and not without_loads(experiment):
+    if leaves_most(steps) and not has_onset(last) and not sequences_without_loads(experiment):
         # No third effect is tried: what a finer grid may have of it decides.
         return deciding if not _physics(steps[-2]) and _grid_may_have(experiment, last) else None
     # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
-    label = "fit" if sets_in(last) else None
+    label = "fit" if has_onset(last) else None
     small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
         first.assessment, label
     )
@@ -92,7 +92,7 @@ def _grid_may_have(experiment: Experiment, step: Step) -> bool:
     return may_have_all(experiment, step.spacing, step.belief, step.solution.evaluation)
 
 
-def sets_in(step: Step) -> bool:
+def has_onset(step: Step) -> bool:
     """Whether the last effect of a step is one that sets in at some moment: a wall, yielding."""
     return any(effect(name).kind == "threshold" for name in step.added)
 
@@ -121,11 +121,11 @@ def on_grid(
         belief = simulable(problem, step.belief)
         softer = without_stiffest(belief) if spacing < step.spacing else None
         if softer is not None:
-            belief = closest(problem, (belief, softer))
-        tell = told(report, f"{1e3 * spacing:.3g} mm")
-        lender = lender_of(experiment, spacing)
-        if step.since < 1.0 and sets_in(step):
-            belief = met_again(experiment, belief, step.since, lender, spacing, tell)
+            belief = best_fitting(problem, (belief, softer))
+        tell = report_of_iterations(report, f"{1e3 * spacing:.3g} mm")
+        lender = jacobian_source(experiment, spacing)
+        if step.since < 1.0 and has_onset(step):
+            belief = onset_on_grid(experiment, belief, step.since, lender, spacing, tell)
         solution = minimise(
             problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
         )
@@ -136,7 +136,7 @@ def on_grid(
         beyond = misfit > GROSS or _out_of_reach(experiment, step, solution, spacing)
         if not solution.converged and not beyond:
             # Where and how hard something is met, to the last digits, is the grid's.
-            rough = misfit >= NEAR_FLOOR or sets_in(step)
+            rough = misfit >= NEAR_FLOOR or has_onset(step)
             left, accuracy = ITERATIONS - FIRST, ROUGHLY if rough else 1e-3
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=accuracy, least=accuracy,
@@ -145,7 +145,7 @@ def on_grid(
         compared = experiment.compare(solution.belief, spacing, jacobian=False)
         if tangents and solution.evaluation.misfit <= EXPLAINED:
             near = experiment.assess(compared).worst <= LARGEST_EXCUSED
-            if near or (step.added and not sets_in(step)):
+            if near or (step.added and not has_onset(step)):
                 # It may be concluded from: its tangents on all frames, which cost most, are asked for once.
                 # Or only unseen frames are off: in a narrow valley the last digits of the cost decide those.
                 solution = _to_last_digits(problem, solution.belief, ITERATIONS // 2 if near else ITERATIONS)
@@ -168,7 +168,7 @@ def on_grid(
 def _out_of_reach(experiment: Experiment, step: Step, solution: Solution, spacing: float) -> bool:
     """Whether no further iteration brings a step near the floor: what it leaves on all frames is neither the
     coarser grid's that it comes from nor this one's. Raises SimulationError."""
-    if solution.converged or not step.added or sets_in(step) or spacing >= step.spacing:
+    if solution.converged or not step.added or has_onset(step) or spacing >= step.spacing:
         return False
     worst = experiment.assess(experiment.compare(solution.belief, spacing, jacobian=False)).worst
     times = FURTHER if _creeps(solution) else FURTHER * BEYOND
@@ -190,13 +190,13 @@ def _to_last_digits(problem: Problem, belief: Belief, iterations: int = ITERATIO
     return minimise(problem, belief, iterations=iterations, relative_tolerance=LAST_DIGITS)
 
 
-def polished(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
+def converged_fit(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """The step with its numbers at the minimum (see `_to_last_digits`)."""
     if step.lender is not None or step.assessment.worst > EXPLAINED:
         return step  # what Jacobians of another grid lead to has none, and the grid's error hides them
     say = report or (lambda _text: None)
     problem = experiment.problem(step.spacing)
-    lender = lender_of(experiment, step.spacing)
+    lender = jacobian_source(experiment, step.spacing)
     solution = relocated(
         problem, step.solution, columns_of=lender, relative_tolerance=LAST_DIGITS, report=report
     )
@@ -204,7 +204,7 @@ def polished(experiment: Experiment, step: Step, report: Callable[[str], None] |
     if solution.belief is step.belief:
         return step
     # Where a refinement excused a part of the misfit, it is asked again.
-    compared = compared_again(experiment, step, solution.belief)
+    compared = compared_as_step(experiment, step, solution.belief)
     assessment = experiment.assess(compared)
     after = step.refitted(solution, compared, assessment)
     say(f"last digits: {step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
@@ -215,9 +215,9 @@ def finely(experiment: Experiment, step: Step, report: Callable[[str], None] | N
     """An explained step on a grid as fine as the default one, where it is not at the noise and leaves less
     there: what is told of a model should be as near as a fit comes."""
     coarser = step.lender is None and step.spacing > 1.1 * default_spacing(experiment.capture)
-    if not coarser or step.reconciled or sets_in(step) or step.assessment.worst <= AT_FLOOR:
+    if not coarser or step.reconciled or has_onset(step) or step.assessment.worst <= AT_FLOOR:
         return step
-    after = finer(experiment, step, report)
+    after = on_finer_grid(experiment, step, report)
     better = after is not None and after.explained and after.assessment.worst < step.assessment.worst
     return after if better else step
 
@@ -238,9 +238,9 @@ def complete(experiment: Experiment, step: Step, *, screening: bool = False) -> 
     if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
         return step
     if step.lender is None:
-        compared = compared_again(experiment, step, step.belief)
+        compared = compared_as_step(experiment, step, step.belief)
     else:
-        compared = compared_by(experiment, step.belief, step.spacing, step.lender)
+        compared = compared_on_both_grids(experiment, step.belief, step.spacing, step.lender)
         compared = staying(compared) if step.stays else compared
     return replace(step, compared=compared, assessment=experiment.assess(compared))
 
@@ -264,18 +264,18 @@ def with_budget(
         return step if coarse is None else with_budget(experiment, step, report)
     assessment = experiment.assess(compared)
     known = replace(step, compared=compared, assessment=assessment, beside=coarse)
-    told_budget(known, report)
+    report_budget(known, report)
     return known
 
 
-def told_budget(step: Step, report: Callable[[str], None] | None) -> None:
+def report_budget(step: Step, report: Callable[[str], None] | None) -> None:
     """Say a step's error budget."""
     if report:
         shares = ", ".join(f"{name} {1e3 * share:.3f}" for name, share in step.assessment.budget.items())
         report(f"shares of the misfit [mm]: {shares}")
 
 
-def refined(
+def on_required_grid(
     experiment: Experiment,
     steps: Sequence[Step],
     report: Callable[[str], None] | None,
@@ -312,11 +312,11 @@ def refined(
         # What a coarser grid shows of it, at a tenth of the work, may say that it is far too little.
         rough = with_budget(experiment, current, beside=screening_spacing(experiment.capture))
         if _physics(rough):
-            told_budget(rough, report)
+            report_budget(rough, report)
             return rough
     small = excess(current.assessment) < EXPLAINED_ON_COARSE * excess(steps[0].assessment)
-    if screening and current.added and small and not sets_in(current) and not hopeless:
-        after = finer(experiment, current, report)
+    if screening and current.added and small and not has_onset(current) and not hopeless:
+        after = on_finer_grid(experiment, current, report)
         if after is not None and after.explained:
             return after
         if after is not None and after.stays:

@@ -14,11 +14,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.extend.finer import lender_of, with_tangents
-from mphygs.extend.setting_in import placed
+from mphygs.extend.finer_grid import jacobian_source, with_tangents
+from mphygs.extend.onset_fit import with_onset_fitted
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached, minimise, told
+from mphygs.fit.levenberg_marquardt import approached, minimise, report_of_iterations
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -49,22 +49,22 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
         return step
     say = report or (lambda _text: None)
     whole = on_all_frames(experiment)
-    belief, tell = step.belief, told(report, "all frames")
+    belief, tell = step.belief, report_of_iterations(report, "all frames")
     say("fitting to all frames")
     try:
         for name in whole.fitted:
             belief = experiment.with_release(belief, name, step.spacing)
             whole.predictor(name, step.spacing)
-        lender = lender_of(whole, step.spacing)
+        lender = jacobian_source(whole, step.spacing)
         problem, worst, enough = whole.problem(step.spacing), math.inf, False
         if lender is not None:
             # The coarse grid's Jacobians, at a fraction of the work, may be enough to say so.
-            belief = placed(problem, belief, lender=lender, report=tell)
+            belief = with_onset_fitted(problem, belief, lender=lender, report=tell)
             belief = approached(problem, lender, belief, iterations=ITERATIONS, report=tell)
             worst, enough = _judged(whole, belief, step.spacing)
         if not enough:
             if lender is None:
-                belief = placed(problem, belief, report=tell)
+                belief = with_onset_fitted(problem, belief, report=tell)
             solution = minimise(problem, belief, iterations=ITERATIONS, relative_tolerance=1e-3, report=tell)
             worst, enough = _judged(whole, solution.belief, step.spacing)
     except SimulationError:

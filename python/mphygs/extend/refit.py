@@ -11,12 +11,19 @@ import numpy as np
 from mphygs.compare.assess import Assessment, Compared, whiten_all
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.held_out import GainInterval, gain_interval
-from mphygs.diagnose.ranking import Entry
+from mphygs.diagnose.ranking import RankedEffect
 from mphygs.extend.known_slopes import approached_from
-from mphygs.extend.setting_in import placed
+from mphygs.extend.onset_fit import with_onset_fitted
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import TOO_LITTLE, Solution, approached, minimise, promise, told
-from mphygs.fit.places import relocated
+from mphygs.fit.levenberg_marquardt import (
+    TOO_LITTLE,
+    Solution,
+    approached,
+    minimise,
+    promise,
+    report_of_iterations,
+)
+from mphygs.fit.place_fit import relocated
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
@@ -53,7 +60,7 @@ class Refit:
     on unseen frames over the model before; actual_drop: of chi^2 on the fitted frames, to hold against
     entry.statistic."""
 
-    entry: Entry
+    entry: RankedEffect
     solution: Solution
     compared: dict[str, Compared]
     assessment: Assessment
@@ -96,7 +103,7 @@ class Refit:
         return not 0.5 <= self.actual_drop / max(self.entry.statistic, 1e-9) <= 2.0
 
 
-def _scaled(entry: Entry, start: Belief, belief: Belief, strength: float) -> Belief:
+def _scaled(entry: RankedEffect, start: Belief, belief: Belief, strength: float) -> Belief:
     """A start of the entry with the effect's strengths times a factor."""
     out, spec = start, effect(entry.effect)
     # Of what replaces something else the null is no zero, and there is nothing to scale.
@@ -129,7 +136,7 @@ def in_logarithm(p: Parameter) -> Parameter:
 def start_refit(
     experiment: Experiment,
     before: Solution,
-    entry: Entry,
+    entry: RankedEffect,
     spacing: float,
     *,
     share: float = 1.0,
@@ -210,7 +217,7 @@ def _further(problem: Problem, solution: Solution, accuracy: float) -> Solution 
     return further if len(further.history) > 1 else None
 
 
-def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) -> Belief | None:
+def _strongest(problem: Problem, before: Belief, entry: RankedEffect, begin: Belief) -> Belief | None:
     """A start of an entry at the strength that fits best; None where none can be simulated."""
     strengths = STRENGTHS if entry.kind != "threshold" else (1.0,)
     best, best_cost = None, np.inf
@@ -239,14 +246,14 @@ def _strongest(problem: Problem, before: Belief, entry: Entry, begin: Belief) ->
 def _led(
     problem: Problem,
     before: Solution,
-    entry: Entry,
+    entry: RankedEffect,
     start: Belief,
     lender: Problem | None,
     accuracy: float,
 ) -> Solution:
     """The first iteration from a start. Raises SimulationError where it cannot be simulated."""
     if entry.kind == "threshold":
-        start = placed(problem, hold_friction(start), lender=lender)
+        start = with_onset_fitted(problem, hold_friction(start), lender=lender)
     elif lender is not None:
         start = approached(problem, lender, start)
     else:
@@ -258,7 +265,7 @@ def finish_refit(
     experiment: Experiment,
     before: Solution,
     compared_before: dict[str, Compared],
-    entry: Entry,
+    entry: RankedEffect,
     begun: Solution,
     spacing: float,
     *,
@@ -274,7 +281,7 @@ def finish_refit(
     three iterations. None where it is given up, or where its motion cannot be simulated.
     """
     problem = experiment.problem(spacing)
-    tell = told(report, f"with {entry.effect}")
+    tell = report_of_iterations(report, f"with {entry.effect}")
     try:
         belief = release_friction(begun.belief)
         # Begun on all frames, it is there with its Jacobian.

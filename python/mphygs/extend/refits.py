@@ -9,23 +9,23 @@ import numpy as np
 
 from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.diagnose.grid_error import unabsorbed
-from mphygs.diagnose.ranking import Entry, Ranking
-from mphygs.extend.following import (
+from mphygs.diagnose.ranking import RankedEffect, Ranking
+from mphygs.extend.material_restarts import restarted_from_best_materials
+from mphygs.extend.model_selection import ALIKE, ALIKE_EXCESS
+from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
+from mphygs.extend.step import Step
+from mphygs.extend.window_continuation import (
     BEHIND,
     FINISHED,
     LINEAR,
     Begun,
-    at_their_places,
-    followed_onward,
+    continued_to_all_frames,
+    with_places_fitted,
 )
-from mphygs.extend.lent import with_lent_materials
-from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
-from mphygs.extend.settle import ALIKE, ALIKE_EXCESS
-from mphygs.extend.step import Step
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.places import movable, relocated
+from mphygs.fit.place_fit import movable, relocated
 from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
@@ -60,7 +60,7 @@ MISPLACED_BEYOND = 10.0
 HOPELESS = 10.0
 
 
-def promising(ranking: Ranking) -> list[Entry]:
+def promising(ranking: Ranking) -> list[RankedEffect]:
     """Entries worth a refit: significant, the best first; physics and faults each get a hearing.
 
     Where the misfit is large the linear prediction is a poor judge: dissipative effects, say, are told apart
@@ -121,7 +121,7 @@ def refits_of(
         late = [entry for entry in wave if entry not in chosen]
         fates |= {e.effect: "would stay behind, many times its promise or not" for e in late}
 
-        def start(own: Experiment, entry: Entry, hopeless: float = hopeless) -> Solution | None:
+        def start(own: Experiment, entry: RankedEffect, hopeless: float = hopeless) -> Solution | None:
             return start_refit(
                 own,
                 window[1],
@@ -141,8 +141,8 @@ def refits_of(
                 fates[entry.effect] = "cannot be simulated from its estimate"
         countdown.done(len(wave))
     if afar:
-        begun = at_their_places(experiment, begun, window[0], spacing, say)
-        begun = with_lent_materials(
+        begun = with_places_fitted(experiment, begun, window[0], spacing, say)
+        begun = restarted_from_best_materials(
             experiment, begun, window[0], spacing, generator.spawn(1)[0], say,
             iterations=iterations, accuracy=accuracy,
         )  # fmt: skip
@@ -158,15 +158,15 @@ def refits_of(
     # those does any good there, a short window had the wrong ones in front.
     limit = ALIKE * begun[0][0]
     alike, behind = ([item for item in begun if (item[0] < limit) is side] for side in (True, False))
-    found = finished(followed_onward(experiment, window[0], alike, spacing, say))
+    found = finished(continued_to_all_frames(experiment, window[0], alike, spacing, say))
     if behind and not any(r.pays or r.may_pay for r in found):
         behind = behind[:FINISHED]
         say(f"none of these pays; now {', '.join(entry.label for _, entry, _ in behind)} on all frames")
-        found += finished(followed_onward(experiment, window[0], behind, spacing, say))
+        found += finished(continued_to_all_frames(experiment, window[0], behind, spacing, say))
     return found
 
 
-def _unpromising(entry: Entry) -> str:
+def _unpromising(entry: RankedEffect) -> str:
     if entry.reason:
         return entry.reason
     if entry.p_value >= SIGNIFICANT or entry.statistic <= LEAST_DROP:
@@ -184,7 +184,7 @@ def _at_noise(refit: Refit) -> bool:
     return refit.pays and refit.assessment.worst <= AT_FLOOR
 
 
-def _far_behind(entry: Entry, ranking: Ranking, begun: Sequence[Begun]) -> bool:
+def _far_behind(entry: RankedEffect, ranking: Ranking, begun: Sequence[Begun]) -> bool:
     """Whether an entry stays behind what is reached even if it brings many times its promise; not where one
     that promised hardly more is near the best already."""
     best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
@@ -211,7 +211,7 @@ def _finished(
     """The refits that are closest, brought to the end. begun: chi^2, entry and fit, the best first."""
     finished: list[Refit] = []
 
-    def finish(entry: Entry, solution: Solution) -> None:
+    def finish(entry: RankedEffect, solution: Solution) -> None:
         result = finish_refit(
             experiment,
             current.solution,

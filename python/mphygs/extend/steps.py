@@ -11,22 +11,22 @@ import numpy as np
 
 from mphygs.compare.assess import grid_shift
 from mphygs.compare.metrics import sensors_document
-from mphygs.extend.candidate_table import with_told
-from mphygs.extend.finer import compared_at, compared_by, evaluated
+from mphygs.extend.candidate_table import with_fitted_numbers
+from mphygs.extend.finer_grid import compared_on_both_grids, compared_on_grid, evaluated
 from mphygs.extend.step import FAULT, Step, known_budget, staying
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.limits import FAR, narrowed_to_seen
-from mphygs.fit.of_run import errors_of
+from mphygs.fit.of_run import compared_errors
 from mphygs.fit.one_sided import coarser_change, limits_of
-from mphygs.fit.places import located, movable, with_places
+from mphygs.fit.place_fit import located, movable, with_place_uncertainty
 from mphygs.fit.problem import Problem
+from mphygs.fit.residual_correlation import widened_by_correlation
 from mphygs.fit.run import Run, StageRecord
-from mphygs.fit.tables import number_text, parameters_told
+from mphygs.fit.tables import number_text, parameter_lines
 from mphygs.fit.uncertainty import grid_moves
 from mphygs.model.belief import Belief
 
@@ -48,9 +48,9 @@ def step_at(
     its misfit as it is."""
     evaluation = evaluated(experiment, belief, spacing, lender)
     if lender is None:
-        compared = compared_at(experiment, belief, spacing, refined=refined, beside=beside)
+        compared = compared_on_grid(experiment, belief, spacing, refined=refined, beside=beside)
     else:
-        compared = compared_by(experiment, belief, spacing, lender)
+        compared = compared_on_both_grids(experiment, belief, spacing, lender)
     compared = staying(compared) if stays else compared
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
     assessment = experiment.assess(compared)
@@ -141,10 +141,10 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     information = information_of(evaluation, len(step.belief.free))
     grid = experiment.problem(step.spacing if step.lender is None else step.lender)  # that of the Jacobian
     change = _grid_change(step, grid) if movable(step.belief) else None
-    known = with_places(grid, step.belief, evaluation, noise, information, change)
+    known = with_place_uncertainty(grid, step.belief, evaluation, noise, information, change)
     columns = boundary_columns(experiment.capture.parts, step.belief.free)
     spread, information = widened(known.covariance, known.information, columns)
-    spread = spread + widened_by_lasting(grid, evaluation, noise)
+    spread = spread + widened_by_correlation(grid, evaluation, noise)
     if not step.explained:
         spread = spread + noise * (max(evaluation.misfit, 1.0) ** 2 - 1.0)
     shift = known.shift
@@ -180,7 +180,7 @@ def told_parameters(step: Step, experiment: Experiment) -> dict[str, dict[str, o
     spread, information, places = uncertainty(step, experiment)
     belief = located(step.belief, places, experiment.capture.parts)
     misfit = step.solution.evaluation.misfit
-    return parameters_told(belief, information, spread, misfit, step.limits or {})
+    return parameter_lines(belief, information, spread, misfit, step.limits or {})
 
 
 def _larger(one: np.ndarray | None, other: np.ndarray) -> np.ndarray:
@@ -213,13 +213,13 @@ def step_document(step: Step, experiment: Experiment, before: Sequence[str]) -> 
         "effects": list(inside),
         "added": list(step.added),
         "ties": list(step.ties),
-        "sequences": errors_of(experiment, step.compared),
+        "sequences": compared_errors(experiment, step.compared),
         **({"sensors": sensors} if (sensors := sensors_document(step.compared)) else {}),
         "adequate": step.assessment.adequate,
         "p_value": step.assessment.p_value,
         "grid": step.assessment.grid if known_budget(step) else None,
         "by": step.assessment.by or ("all frames" if step.reconciled else None),
-        "table": with_told(step.table, parameters, step.added),
+        "table": with_fitted_numbers(step.table, parameters, step.added),
         "parameters": parameters,
     }
 

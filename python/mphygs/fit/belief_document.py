@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from mphygs.model.belief import Belief, Likeness, Parameter, Term
+from mphygs.model.belief import Belief, LikenessPrior, Parameter, Term
 from mphygs.model.registry import effects
 
 # Absent where they have these values: JSON has no infinity.
@@ -70,7 +70,7 @@ def belief_from_document(document: Mapping[str, object]) -> Belief:
         law=document["law"],
         known_mass=document["known_mass"],
         likenesses=tuple(
-            Likeness(tuple(entry["keys"]), tuple(entry["coefficients"]), entry["std"])
+            LikenessPrior(tuple(entry["keys"]), tuple(entry["coefficients"]), entry["std"])
             for entry in document.get("likenesses", ())
         ),
     )

@@ -14,8 +14,8 @@ from mphygs.fit.experiment import REFINEMENT, Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.paper_plan import PaperStage, paper_plan, remembers
 from mphygs.fit.run import Run, StageRecord
-from mphygs.fit.schedule import Stage, fit_belief, plan_of
-from mphygs.fit.uncertainty import grid_change, prediction_change, spread_of
+from mphygs.fit.schedule import ScheduleStage, fit_belief, plan_of
+from mphygs.fit.uncertainty import coordinate_covariance, grid_change, prediction_change
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -27,11 +27,15 @@ def _forget(experiment: Experiment) -> None:
             predictor.forget()
 
 
-def _ratio(plan: Sequence[Stage | PaperStage], number: int) -> float:
+def _ratio(plan: Sequence[ScheduleStage | PaperStage], number: int) -> float:
     """How much coarser the grid of the stage before was, which fitted the same frames; 1 where it tells
     nothing of the grid."""
     stage, before = plan[number], plan[number - 1] if number else None
-    if not isinstance(before, Stage) or not isinstance(stage, Stage) or before.share != stage.share:
+    if (
+        not isinstance(before, ScheduleStage)
+        or not isinstance(stage, ScheduleStage)
+        or before.share != stage.share
+    ):
         return 1.0
     return before.spacing / stage.spacing
 
@@ -52,7 +56,7 @@ def _spread(
         else:
             change = prediction_change(evaluation, other, ratio)
     moved = grid_change(before, solution.belief, coarser) if coarser > 1.0 else None
-    return spread_of(problem, evaluation, moved, change)
+    return coordinate_covariance(problem, evaluation, moved, change)
 
 
 def fit_run(
@@ -78,7 +82,7 @@ def fit_run(
         return run
     paper = schedule == "paper"
     spacing = run.settings.spacing
-    plan: Sequence[Stage | PaperStage] = (
+    plan: Sequence[ScheduleStage | PaperStage] = (
         paper_plan(spacing, experiment.fitted, from_rest=remembers(run.belief.effects))
         if paper
         else plan_of(experiment.capture, spacing, warm=warm, screening=screening)
@@ -99,7 +103,7 @@ def fit_run(
             share = min(steps / (stage.reports + 1), 0.95)
             progress((done + share * stage.work) / total, line)
 
-    def after_stage(stage: Stage | PaperStage, solution: Solution) -> None:
+    def after_stage(stage: ScheduleStage | PaperStage, solution: Solution) -> None:
         nonlocal run, done, begin, steps
         now = time.monotonic()
         record = StageRecord(
@@ -137,7 +141,7 @@ def fit_run(
         minimiser = fit_by_windows
     elif not newton:
         # torch takes seconds to import, and Gauss-Newton does without it.
-        from mphygs.fit.by_gradient import fit_by_gradient
+        from mphygs.fit.gradient_fit import fit_by_gradient
 
         minimiser = partial(fit_by_gradient, method=optimiser)
     minimiser(

@@ -8,8 +8,8 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
+from mphygs.compare.masked_means import mean_seen
 from mphygs.compare.noise import Observation, observe
-from mphygs.compare.seen import mean_seen
 from mphygs.fit.first_frames import first_state
 from mphygs.simulate.body import Attachment
 
@@ -78,7 +78,7 @@ def examine(capture: Capture, recording: Recording, attachment: Attachment) -> E
         at_rest=int((~free).sum()),
         rest_frames=recording.release or 0,
         moves=moves / (sigma or stated),
-        frequency=leading_frequency(position[:, free], recording.fps),
+        frequency=track_frequency(position[:, free], recording.fps),
         begins="measured" if recording.start == "measured" else begins,
     )
 
@@ -101,7 +101,7 @@ def longest_gap(seen: np.ndarray) -> int:
     return longest
 
 
-def leading_frequency(position: np.ndarray, fps: float) -> float:
+def track_frequency(position: np.ndarray, fps: float) -> float:
     """Frequency [Hz] at which the velocity of tracks (T, M, 3) is largest: a place that is left for another
     one, as by sagging, is no swing. Gaps are bridged by straight lines; 0 for less than four frames."""
     frames = np.arange(len(position))

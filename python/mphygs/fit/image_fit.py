@@ -22,7 +22,7 @@ from mphygs.fit.paper import adam
 from mphygs.fit.paper_plan import ITERATIONS
 from mphygs.fit.pictured import Pictured
 from mphygs.model.belief import Belief
-from mphygs.render.video_loss import Observation, VideoWeights, observation_of, video_loss
+from mphygs.render.video_loss import FrameObservation, VideoWeights, observation_of, video_loss
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction
 from mphygs.simulate.prediction_gradient import predict_with_gradient
@@ -56,7 +56,7 @@ class Watched:
     fitted: tuple[int, ...]
     left_out: tuple[int, ...]
     photographs: Mapping[int, Sequence[Photograph]]
-    pictures: Mapping[int, Sequence[Observation]]
+    pictures: Mapping[int, Sequence[FrameObservation]]
 
     @property
     def last(self) -> int:
@@ -141,20 +141,15 @@ def watch(pictured: Pictured, name: str, span: tuple[int, int], *, looks: bool) 
     photographs, pictures = {}, {}
     for frame in map(int, frames):
         found = views.read(frame)
-        photographs[frame] = [_at_most(p, LARGEST_SIDE) for p in found]
+        photographs[frame] = [p.within(LARGEST_SIDE) for p in found]
         features = [None] * len(found)
         if looks and pictured.looks is not None:
-            features = [pictured.looks.of(_at_most(p, LOOKS_SIDE)) for p in found]
+            features = [pictured.looks.of(p.within(LOOKS_SIDE)) for p in found]
         pictures[frame] = [
             observation_of(p, None if seen is None else _no_finer(seen, p.mask.shape))
             for p, seen in zip(photographs[frame], features, strict=True)
         ]
     return Watched(tuple(map(int, fitted)), tuple(map(int, left_out)), photographs, pictures)
-
-
-def _at_most(photograph: Photograph, side: int) -> Photograph:
-    """The photograph at a half, a third, ... of its size, no side longer than `side` [px]."""
-    return photograph.shrunk(max(1, -(-max(photograph.camera.width, photograph.camera.height) // side)))
 
 
 def _no_finer(features: Tensor, shape: tuple[int, int]) -> Tensor:

@@ -189,7 +189,7 @@ def with_jacobian_of(lender: Problem, problem: Problem, belief: Belief) -> Evalu
     return _Borrowing(problem, lender).evaluate(belief)
 
 
-def borrowed(
+def fit_by_borrowed_jacobians(
     problem: Problem,
     lender: Problem,
     belief: Belief,
@@ -212,7 +212,9 @@ def borrowed(
     return solution
 
 
-def told(report: Callable[[str], None] | None, what: str) -> Callable[[int, Evaluation, Belief], None] | None:
+def report_of_iterations(
+    report: Callable[[str], None] | None, what: str
+) -> Callable[[int, Evaluation, Belief], None] | None:
     """A report of iterations as lines of text; None where nobody listens."""
     if report is None:
         return None

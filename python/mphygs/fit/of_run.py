@@ -14,7 +14,7 @@ from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import sequence_errors
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
-from mphygs.fit.marker_labels import well_labelled
+from mphygs.fit.marker_label_repair import well_labelled
 from mphygs.fit.run import DOCUMENT, Run, digest_of
 from mphygs.fit.schedule import check_spacing
 from mphygs.fit.start import starting_belief
@@ -157,7 +157,7 @@ def chosen_names(experiment: Experiment, wanted: Sequence[str]) -> list[str]:
     return found
 
 
-def errors_of(experiment: Experiment, compared: Mapping[str, Compared]) -> dict[str, dict]:
+def compared_errors(experiment: Experiment, compared: Mapping[str, Compared]) -> dict[str, dict]:
     """Errors of compared sequences, over the stated sigma where the capture states one that its tracks do not
     deny."""
     sigmas = {}
@@ -182,4 +182,4 @@ def feedback_document(
     """The errors of a model under feedback of a gain, as JSON. Raises ValueError where the transfer has
     none."""
     compared = experiment.compare(belief, spacing, names=names, jacobian=False, gain=gain)
-    return {"gain": gain, "sequences": errors_of(experiment, compared)}
+    return {"gain": gain, "sequences": compared_errors(experiment, compared)}

@@ -20,8 +20,8 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.stages import StageFolder
 from mphygs.capture.views import Photograph, SequenceViews, rest_views_of, sequence_views_of
-from mphygs.compare.drawn import Drawn
-from mphygs.compare.image_errors import Film, Shown, frame_metrics, frames_of, range_errors
+from mphygs.compare.carried_gaussians import CarriedGaussians
+from mphygs.compare.image_errors import ComparedFrame, Film, frame_metrics, frames_of, range_errors
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import Placement, placement_of
 from mphygs.fit.stage_files import particles_of
@@ -67,7 +67,7 @@ class Pictured:
     experiment: Experiment
     source: Capture
     stages: Path
-    drawn: Drawn
+    drawn: CarriedGaussians
     looks: Looks | None = None
     _predictors: dict[str, Predictor] = field(default_factory=dict)
     _views: dict[str, SequenceViews] = field(default_factory=dict)
@@ -88,7 +88,7 @@ class Pictured:
             if known.reduction is not None:
                 looks = Looks(known.made_by, known.reduction)
                 gaussians = replace(gaussians, features=torch.from_numpy(known.appearance))
-        drawn = Drawn.of(gaussians, particles.position[particles.inside])
+        drawn = CarriedGaussians.of(gaussians, particles.position[particles.inside])
         return cls(experiment, source, stages, drawn, looks)
 
     def names(self, wanted: Sequence[str] = ()) -> list[str]:
@@ -143,7 +143,7 @@ class Pictured:
         gaussians = self.drawn.at(positions)
         return replace(gaussians, features=gaussians.features[:, :0])
 
-    def shown(self, name: str, prediction: Prediction, frames: Sequence[int]) -> Iterator[Shown]:
+    def shown(self, name: str, prediction: Prediction, frames: Sequence[int]) -> Iterator[ComparedFrame]:
         """Predicted pictures of frames, and what the cameras saw."""
         views, placement = self.views(name), self.placement(name)
         for frame in frames:
@@ -152,7 +152,7 @@ class Pictured:
             with torch.no_grad():
                 gaussians = self.coloured(positions)
                 pictures = [splat(gaussians, photograph.camera) for photograph in photographs]
-            yield Shown(frame, pictures, photographs)
+            yield ComparedFrame(frame, pictures, photographs)
 
     def ranges(self, name: str) -> tuple[tuple[int, int], tuple[int, int]]:
         """Frames of a sequence that were fitted, and those kept for prediction."""
@@ -170,7 +170,7 @@ class Pictured:
         *,
         names: Sequence[str] = (),
         films: Path | None = None,
-        see: Callable[[str, Shown], None] | None = None,
+        see: Callable[[str, ComparedFrame], None] | None = None,
         report: Callable[[str], None] | None = None,
     ) -> dict[str, dict[str, dict[str, float] | None]]:
         """Errors of the predicted pictures by sequence and range; films: folder for a video of each; see: is

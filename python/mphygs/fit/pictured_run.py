@@ -15,7 +15,7 @@ from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.grouping import with_grouping
+from mphygs.fit.grouping_prior import with_grouping
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import pictured_of
 from mphygs.fit.run import Run, StageRecord

@@ -11,7 +11,7 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
-from mphygs.compare.sensed import whitened_readings
+from mphygs.compare.sensor_residuals import whitened_readings
 from mphygs.compare.whitening import Whitener
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError

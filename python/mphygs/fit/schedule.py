@@ -10,7 +10,7 @@ import numpy as np
 
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
-from mphygs.fit.levenberg_marquardt import Solution, minimise, told
+from mphygs.fit.levenberg_marquardt import Solution, minimise, report_of_iterations
 from mphygs.fit.other_minima import lower_along, lowest_of, other_minima
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
@@ -60,7 +60,7 @@ HARDLY_WORSE = 2.0
 
 
 @dataclass(frozen=True)
-class Stage:
+class ScheduleStage:
     """One step of the schedule. share: of every range's frames; iterations: at most."""
 
     name: str
@@ -105,19 +105,19 @@ def deciding_spacing(capture: Capture) -> float:
     return round(DECIDING_FACTOR * default_spacing(capture), 6)
 
 
-def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Stage, ...]:
+def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[ScheduleStage, ...]:
     """Stages of a fit; a warm start knows the scale and needs the fine grid only.
 
     coarsest: spacing that the coarse stages may not exceed, unless the fine one does [m].
     """
     if warm:
-        return (Stage("fine", spacing, 1.0, 12, 1e-4),)
+        return (ScheduleStage("fine", spacing, 1.0, 12, 1e-4),)
     coarse = max(spacing, min(COARSE_FACTOR * spacing, coarsest))
     plan = (
-        Stage("coarse, first quarter", coarse, 0.25, 6, 3e-3),
-        Stage("coarse, first half", coarse, 0.5, 4, 3e-3),
-        Stage("coarse", coarse, 1.0, 6, 1e-3),
-        Stage("fine", spacing, 1.0, 8, 1e-4),
+        ScheduleStage("coarse, first quarter", coarse, 0.25, 6, 3e-3),
+        ScheduleStage("coarse, first half", coarse, 0.5, 4, 3e-3),
+        ScheduleStage("coarse", coarse, 1.0, 6, 1e-3),
+        ScheduleStage("fine", spacing, 1.0, 8, 1e-4),
     )
     # Where there is one grid only, its whole motion is fitted once.
     return plan if coarse > spacing else (*plan[:2], plan[3])
@@ -125,7 +125,7 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sta
 
 def plan_of(
     capture: Capture, spacing: float, *, warm: bool, screening: bool = False
-) -> tuple[Stage, ...]:
+) -> tuple[ScheduleStage, ...]:
     """The stages of a fit of a capture at a spacing [m]. screening: whether it is one of many models that are
     tried, where the grid is as coarse as that asks for."""
     # Rounded as spacings are: the coarsest grid is that of a screening fit, which has no other.
@@ -139,7 +139,7 @@ def plan_of(
     )
 
 
-def forget(belief: Belief) -> Belief:
+def with_materials_at_prior(belief: Belief) -> Belief:
     """The belief with its free materials back at the middle of their priors, within the bounds that they had
     before a scale was found."""
     parameters = []
@@ -304,11 +304,11 @@ def fit_belief(
     *,
     warm: bool = False,
     report: Callable[[str], None] | None = None,
-    after_stage: Callable[[Stage, Solution], None] | None = None,
+    after_stage: Callable[[ScheduleStage, Solution], None] | None = None,
     start_stage: int = 0,
     before: tuple[Belief | None, float] = (None, 0.0),
     problems: dict[float, Problem] | None = None,
-    plan: tuple[Stage, ...] | None = None,
+    plan: tuple[ScheduleStage, ...] | None = None,
 ) -> tuple[Solution, Problem]:
     """Run the schedule from a belief. Returns the last stage's solution and problem.
 
@@ -334,7 +334,7 @@ def fit_belief(
         if number == 0 and not warm:
             belief = find_scale(problem, belief, report)
 
-        tell = told(report, f"{stage.name} ({1e3 * stage.spacing:.3g} mm)")
+        tell = report_of_iterations(report, f"{stage.name} ({1e3 * stage.spacing:.3g} mm)")
         dwell = None
         if earlier is not None and misfit > HOPELESS:
             # What it became is of no use on another grid; the model before it is, and as wrong unless it was

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from mphygs.compare.sensed import ComparedSensor, Sensed, with_grid
+from mphygs.compare.sensor_residuals import ComparedSensor, SensorObservation, with_grid
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction, Predictor
 
 
 def with_grid_error(
-    sensors: tuple[Sensed, ...], fine: Predictor, coarse: Predictor, ratio: float, belief: Belief, last: int
-) -> tuple[Sensed, ...]:
+    sensors: tuple[SensorObservation, ...],
+    fine: Predictor,
+    coarse: Predictor,
+    ratio: float,
+    belief: Belief,
+    last: int,
+) -> tuple[SensorObservation, ...]:
     """The sensors of a sequence with the finer grid's error at a belief, as they are where it cannot be
     simulated.
 
@@ -31,7 +36,7 @@ def with_grid_error(
 
 
 def compared_sensors(
-    sensors: tuple[Sensed, ...], prediction: Prediction, frames: int
+    sensors: tuple[SensorObservation, ...], prediction: Prediction, frames: int
 ) -> tuple[ComparedSensor, ...]:
     """Sensors beside what is predicted of them, zero in those of all frames that were not computed."""
     return tuple(

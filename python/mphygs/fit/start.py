@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mphygs.capture.format import Capture
-from mphygs.fit.actuators import actuator_parameters
+from mphygs.fit.actuator_parameters import actuator_parameters
 from mphygs.fit.first_frames import start_parameters
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW, material_effects

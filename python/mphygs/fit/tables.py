@@ -8,7 +8,7 @@ import numpy as np
 
 from mphygs.fit.determined import determinations, of_unit_length
 from mphygs.fit.limits import FAR, Limits, with_bounds
-from mphygs.fit.places import places_document
+from mphygs.fit.place_fit import places_document
 from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
@@ -24,13 +24,13 @@ def parameters_of(run: Run, found: Mapping[str, Interval] | None = None) -> dict
             f"{run.folder}: is not complete; expected a finished run (fit --out {run.folder} --resume)"
         )
     misfit = run.history[-1].misfit if run.history else 0.0
-    document = parameters_told(run.belief, run.information, run.covariance, misfit, run.limits)
+    document = parameter_lines(run.belief, run.information, run.covariance, misfit, run.limits)
     for key, interval in (found or {}).items():
         document[key]["interval"] = [interval.lower, interval.upper]
     return document
 
 
-def parameters_told(
+def parameter_lines(
     belief: Belief,
     information: np.ndarray,
     covariance: np.ndarray,
@@ -76,7 +76,7 @@ def parameters_document(
     return out | places_document(belief)
 
 
-def table(rows: Sequence[Sequence[str]]) -> str:
+def text_table(rows: Sequence[Sequence[str]]) -> str:
     """Rows of cells in aligned columns; the first row is the head."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = [
@@ -95,7 +95,7 @@ def parameters_text(parameters: Mapping[str, Mapping[str, object]]) -> str:
             remark = f"NOT DETERMINED: {remark}"
         span = [" to ".join(f"{end:.4g}" for end in entry.get("interval", ()))] if spans else []
         rows.append([key, f"{entry['value']:.5g}", f"{entry['std']:.2g}", str(entry["unit"]), *span, remark])
-    return table(rows)
+    return text_table(rows)
 
 
 def number_text(entry: Mapping[str, object]) -> str:
@@ -129,4 +129,4 @@ def errors_text(sequences: Mapping[str, Mapping[str, Mapping[str, float] | None]
                         str(error["count"]),
                     ]
                 )
-    return table(rows)
+    return text_table(rows)

@@ -3,7 +3,7 @@
 The inverse of the normal matrix is the noise's share alone. Where a model leaves more than the noise, what
 it leaves counts as noise: the residual variance scales the covariance (Seber & Wild, "Nonlinear
 regression", 1989, section 2.1.2), and what lasts in the residual, or is shared by markers, widens it
-(`mphygs.fit.lasting`).
+(`mphygs.fit.residual_correlation`).
 
 A grid bends numbers. Its error is told by the change from another one (Richardson extrapolation): from a
 coarser one that the fit came by, from a finer one where it had no other. At the edge of a hold the stress is
@@ -25,16 +25,16 @@ import numpy as np
 
 from mphygs.compare.allowance import modulated_directions
 from mphygs.compare.assess import MODULATIONS
-from mphygs.fit.lasting import widened_by_lasting
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.problem import Evaluation, Problem
+from mphygs.fit.residual_correlation import widened_by_correlation
 from mphygs.model.belief import Belief
 
 # Order of convergence that the error of a grid is extrapolated by.
 ORDER = 1.0
 
 
-def spread_of(
+def coordinate_covariance(
     problem: Problem,
     evaluation: Evaluation,
     grid: np.ndarray | None = None,
@@ -45,7 +45,7 @@ def spread_of(
     grid: see `grid_change`; change: (N,) error of the grid in the measured rows, see `prediction_change`.
     """
     inverse = covariance(evaluation)
-    spread = inverse * max(evaluation.misfit, 1.0) ** 2 + widened_by_lasting(problem, evaluation, inverse)
+    spread = inverse * max(evaluation.misfit, 1.0) ** 2 + widened_by_correlation(problem, evaluation, inverse)
     if grid is not None:
         spread = spread + np.outer(grid, grid)
     if change is not None:

@@ -105,7 +105,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Likeness:
+class LikenessPrior:
     """A prior on several parameters together: the sum of coefficients times logarithms of values is zero,
     give or take std."""
 
@@ -131,7 +131,7 @@ class Belief:
     prestress: str = "off"
     law: str = USUAL_LAW
     known_mass: float | None = None
-    likenesses: tuple[Likeness, ...] = ()
+    likenesses: tuple[LikenessPrior, ...] = ()
 
     def __post_init__(self) -> None:
         if self.prestress not in PRESTRESS_MODES:

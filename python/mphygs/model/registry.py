@@ -21,7 +21,7 @@ from mphygs.model.material_effect import MaterialEffect
 
 __all__ = [
     "USUAL_LAW", "EffectSpec", "ParameterSpec", "core_parameter_nulls", "core_parameter_offsets", "effect",
-    "effects", "faults", "laws", "material_effects", "outliers", "point_parameter_offsets", "register",
+    "effects", "faults", "laws", "material_effects", "outliers", "point_parameter_offsets", "add_user_effect",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", Fault, MaterialEffect)
@@ -113,7 +113,7 @@ def outliers() -> str:
     return name
 
 
-def register(spec: EffectSpec) -> None:
+def add_user_effect(spec: EffectSpec) -> None:
     """Add a user's own effect. Raises ValueError when the name is taken by a built-in one."""
     if spec.name in _built_in():
         raise ValueError(f"effect '{spec.name}': the name is taken by a built-in effect")

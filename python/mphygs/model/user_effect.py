@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mphygs.model.descriptor import EffectSpec, ParameterSpec
-from mphygs.model.registry import register
+from mphygs.model.registry import add_user_effect
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -76,7 +76,9 @@ def register_effect(cls: type) -> type:
             f"{where}: has {' and '.join(functions) or 'no function'}, expected one of force, stress"
         )
     summary = (cls.__doc__ or f"{name}, the user's own").strip().splitlines()[0].rstrip(".")
-    register(EffectSpec(name, summary, kind, "user", parameters, not_with_mls="it has no effects in Python"))
+    add_user_effect(
+        EffectSpec(name, summary, kind, "user", parameters, not_with_mls="it has no effects in Python")
+    )
     _IMPLEMENTATIONS[name] = effect
     logging.getLogger("mphygs").warning(
         "effect '%s' runs in Python, once a substep: slower than a compiled one", name

@@ -147,7 +147,7 @@ class Aligner:
     ) -> tuple[np.ndarray, np.ndarray]:
         """H (6J, 6J) and g (6J,) of the step H^-1 g of Gauss and Newton."""
         points = self.graph.carried(pose, self.chosen)
-        information, pull = lifted(points, sights)
+        information, pull = combined_sights(points, sights)
         hessian, slope = self._of_points(pose, information, pull)
         for rows, residual in disagreements(self.graph, pose, expected, self.rule.stiffness):
             hessian += (rows.T @ rows).toarray()
@@ -176,7 +176,7 @@ class Aligner:
         return dense, slope
 
 
-def lifted(points: np.ndarray, sights: Sequence[Sight]) -> tuple[np.ndarray, np.ndarray]:
+def combined_sights(points: np.ndarray, sights: Sequence[Sight]) -> tuple[np.ndarray, np.ndarray]:
     """Information (N, 3, 3) [1/m^2] and pull (N, 3) [1/m] of all cameras together on points (N, 3) [m]."""
     information, pull = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for sight in sights:

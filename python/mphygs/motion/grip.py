@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mphygs.capture.rotation import align_rigid
-from mphygs.motion.contact import LEAST_TRACKS, ContactMotion, ContactWeights, fit_contact
+from mphygs.motion.contact_motion import LEAST_TRACKS, ContactMotion, ContactWeights, fit_contact
 
 CORE = 16  # tracks nearest to the contact that surely move with it
 _RADIUS = 0.06  # of the object's extent: tracks that near are of the core as well

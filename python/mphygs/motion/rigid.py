@@ -14,7 +14,7 @@ from mphygs.capture.annotations import Correspondence
 from mphygs.capture.cameras import Camera
 from mphygs.capture.rotation import align_rigid, matrix_from_rotation_vector, quaternion_from_matrix
 from mphygs.capture.views import Photograph
-from mphygs.motion.alignment import AlignmentRule, lifted, pixels_per_metre
+from mphygs.motion.alignment import AlignmentRule, combined_sights, pixels_per_metre
 from mphygs.motion.sight import sight_of
 from mphygs.motion.stiffness import turn_and_shift
 from mphygs.render.picture import Optics
@@ -122,7 +122,7 @@ def refined_rigid(
                 sight_of(drawn, points, p, behind=behind, factor=factor, noise=noise, rule=rule.sight)
                 for p in photographs
             ]
-            information, pull = lifted(points, sights)
+            information, pull = combined_sights(points, sights)
             middle = points.mean(axis=0)
             rows = turn_and_shift(points - middle)
             hessian = np.einsum("nia,nij,njb->ab", rows, information, rows)

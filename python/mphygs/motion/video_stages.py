@@ -20,7 +20,7 @@ from mphygs.capture.rotation import quaternion_from_matrix
 from mphygs.capture.stages import Stage, StageFolder
 from mphygs.capture.views import Photograph, RestViews, SequenceViews, rest_views_of, sequence_views_of
 from mphygs.motion.camera_check import check_cameras
-from mphygs.motion.contact import coarse_contact
+from mphygs.motion.contact_motion import coarse_contact
 from mphygs.motion.grip import Grip, find_grip
 from mphygs.motion.registration import Registration, register
 from mphygs.motion.stage_files import Registered, Tracks, read_hold, read_registered, read_tracks
@@ -79,7 +79,7 @@ class VideoRun:
 
     def read(self, views: SequenceViews, frame: int) -> list[Photograph]:
         """The pictures of all cameras in one frame, no larger than `longest`."""
-        return [shrunk(photograph, self.longest) for photograph in views.read(frame)]
+        return [photograph.within(self.longest) for photograph in views.read(frame)]
 
     def stage(self, file: Path, recording: Recording, made_of: Mapping[str, object]) -> Stage:
         """The stage of a sequence that leaves `file`, made of the Gaussians, the videos and `made_of`."""
@@ -103,7 +103,7 @@ def register_stage(
     views = run.views(recording)
     rest_cameras = {}
     if run.rest is not None:
-        at_rest = [shrunk(photograph, run.longest) for photograph in run.rest.read()]
+        at_rest = [photograph.within(run.longest) for photograph in run.rest.read()]
         where = f'sequence "{recording.name}"'
         check_first_frame(at_rest, views.read(0), views.correspondences, where=where)
         rest_cameras = {name: view.camera for name, view in run.rest.views.items()}
@@ -243,8 +243,3 @@ def named(recording: Recording) -> Iterator[None]:
         raise
     except ValueError as error:
         raise CaptureError(f'sequence "{recording.name}": {error}') from error
-
-
-def shrunk(photograph: Photograph, longest: int) -> Photograph:
-    """A photograph at a half, a third, ... of its size, so that no side is longer than `longest` [px]."""
-    return photograph.shrunk(-(-max(photograph.mask.shape) // longest))

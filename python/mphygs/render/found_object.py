@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from mphygs.capture.meshes import Part
 from mphygs.capture.views import Photograph
-from mphygs.render.looking_round import seen_depths
+from mphygs.render.orbit_views import seen_depths
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.object_files import GaussianFeatures, segment_name
 from mphygs.scene.part_meshes import segment_meshes

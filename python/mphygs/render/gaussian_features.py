@@ -18,7 +18,7 @@ from mphygs.capture.features import (
 )
 from mphygs.capture.mask_groups import MaskGrouper
 from mphygs.capture.views import Photograph
-from mphygs.render.lifting import lifted, seen_in_groups, seen_map
+from mphygs.render.lifting import lifted_features, seen_in_groups, seen_map
 from mphygs.scene.affinity import affinity_features, neighbour_groups
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.object_files import GaussianFeatures
@@ -54,7 +54,7 @@ def gaussian_features(
         weight = map_weight(photograph, values.shape[:2])
         # a cell at the edge shows something else as well
         seen.append(seen_map(photograph.camera, values, weight**2))
-    appearance = lifted(gaussians, seen, report=_between(tell, _SHARES[0], _SHARES[1])).numpy()
+    appearance = lifted_features(gaussians, seen, report=_between(tell, _SHARES[0], _SHARES[1])).numpy()
     groups = []
     for number, photograph in enumerate(photographs):
         span = (_SHARES[1], 1.0)

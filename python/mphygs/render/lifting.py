@@ -65,7 +65,7 @@ def rendered(gaussians: Gaussians, camera: Camera, features: Tensor) -> Tensor:
         return torch.cat([splat(replace(gaussians, features=c), camera).features for c in chunks], dim=2)
 
 
-def lifted(
+def lifted_features(
     gaussians: Gaussians,
     maps: Sequence[SeenMap],
     *,

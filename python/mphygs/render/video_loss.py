@@ -30,7 +30,7 @@ class VideoWeights:
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class FrameObservation:
     """What one camera saw of one frame. colour: (H, W, 3) over black; features: (h, w, F), or None,
     times the share of the object in each of its pixels; distances: (H, W) [px] from the silhouette."""
 
@@ -50,13 +50,13 @@ class VideoLoss:
     distance: Tensor
 
 
-def observation_of(photograph: Photograph, features: Tensor | None = None) -> Observation:
+def observation_of(photograph: Photograph, features: Tensor | None = None) -> FrameObservation:
     """What is compared with a photograph. features: (h, w, F), at most as fine as it."""
     mask = torch.from_numpy(photograph.mask)
     if features is not None:
         weight = torch.nn.functional.adaptive_avg_pool2d(mask[None], features.shape[:2])[0]
         features = features.to(torch.float32) * weight[..., None]
-    return Observation(
+    return FrameObservation(
         camera=photograph.camera,
         colour=torch.from_numpy(photograph.colour) * mask[..., None],
         distances=distance_map(photograph.mask),
@@ -66,7 +66,7 @@ def observation_of(photograph: Photograph, features: Tensor | None = None) -> Ob
 
 def video_loss(
     gaussians: Gaussians,
-    observations: Sequence[Observation],
+    observations: Sequence[FrameObservation],
     *,
     weights: VideoWeights = VideoWeights(),  # noqa: B008 (frozen)
     scales: int = 3,

@@ -168,11 +168,11 @@ def ranking_chart(rows: Sequence[Mapping[str, object]], chosen: Sequence[str]) -
 
 def _hover(row: Mapping[str, object]) -> str:
     lines = [
-        f"{escape(name)} = {value:.4g}" + spread_of(row["std"].get(name))
+        f"{escape(name)} = {value:.4g}" + plus_minus(row["std"].get(name))
         for name, value in row["estimate"].items()
     ]
     if row["gain"] is not None:
-        lines.append(f"gain on unseen frames {row['gain']:.4g}" + spread_of(row["error"]))
+        lines.append(f"gain on unseen frames {row['gain']:.4g}" + plus_minus(row["error"]))
     if row["numbers"] is not None:
         lines.append(f"numbers spent: {row['numbers']}")
     if row["p_value"] is not None:
@@ -184,7 +184,7 @@ def _hover(row: Mapping[str, object]) -> str:
     return "<br>".join(lines)
 
 
-def spread_of(std: float | None) -> str:
+def plus_minus(std: float | None) -> str:
     return "" if std is None else f" ± {std:.2g}"
 
 

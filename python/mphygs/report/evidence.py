@@ -8,11 +8,11 @@ from html import escape
 
 import numpy as np
 
-from mphygs.diagnose.document import seen_from, spot_lines
+from mphygs.diagnose.diagnosis_document import seen_from, spot_lines
 from mphygs.fit.determined import of_unit_length
 from mphygs.report import charts
-from mphygs.report.contents import Contents
-from mphygs.report.html import chart, folded, number, table
+from mphygs.report.html import chart, folded, four_digits, html_table
+from mphygs.report.page_contents import Contents
 
 # A correlation above this is told of a parameter.
 TRADES = 0.6
@@ -31,7 +31,7 @@ def ranking(contents: Contents, figures: list) -> str:
     lines = []
     for row in rows:
         numbers = ", ".join(
-            f"{name} {number(value)}" + charts.spread_of(row["std"].get(name))
+            f"{name} {four_digits(value)}" + charts.plus_minus(row["std"].get(name))
             for name, value in row["estimate"].items()
         )
         told = [row["struck"], ", ".join(row["ties"])]
@@ -45,11 +45,11 @@ def ranking(contents: Contents, figures: list) -> str:
     ]  # fmt: skip
     spots = "\n".join(spot_lines(found)[1:])
     struck = [[row["effect"], row["struck"]] for row in rows if row["struck"]]
-    off = "<h3>Struck off, and why</h3>" + table(["candidate", "reason"], struck) if struck else ""
+    off = "<h3>Struck off, and why</h3>" + html_table(["candidate", "reason"], struck) if struck else ""
     words = "How far the misfit would fall with each candidate. Orange: concluded; hatched: struck off."
     return (
         f'<p class="quiet">{words}</p>{chart("chart-ranking", "fall of the misfit by candidate")}{off}'
-        + folded("all candidates as a table", table(head, lines))
+        + folded("all candidates as a table", html_table(head, lines))
         + (folded("where and when it is wanted", f"<pre>{escape(spots)}</pre>") if spots else "")
     )
 
@@ -73,7 +73,7 @@ def parameters(contents: Contents, figures: list) -> str:
             remark = f"not determined: {remark}"
         std = entry["std"]
         between = entry.get("interval") or two_errors(entry["value"], std, log=key in logarithms)
-        span = " to ".join(number(end) for end in between)
+        span = " to ".join(four_digits(end) for end in between)
         rows.append(
             [key, entry["value"], std if std is not None else "unbounded", span, entry["unit"],
              trades.get(key, ""), remark]
@@ -88,7 +88,7 @@ def parameters(contents: Contents, figures: list) -> str:
     )
     pieces = [facts]
     head = ["parameter", "value", "standard error", "two standard errors", "unit", "trades with", ""]
-    pieces.append(table(head, rows, classes))
+    pieces.append(html_table(head, rows, classes))
     for figure, words in (
         (charts.intervals_chart(contents.parameters), "how sure each parameter is"),
         (charts.correlation_chart(keys, correlation), "correlations of the parameters"),

@@ -33,12 +33,12 @@ def asset(name: str) -> str:
     return resources.files("mphygs.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def number(value: float) -> str:
+def four_digits(value: float) -> str:
     """Four digits."""
     return f"{value:.4g}"
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]], classes: Sequence[str] = ()) -> str:
+def html_table(head: Sequence[str], rows: Sequence[Sequence[object]], classes: Sequence[str] = ()) -> str:
     """A table; numbers stand right. classes: of the rows."""
     lines = ["<table><thead><tr>", *(f"<th>{escape(cell)}</th>" for cell in head), "</tr></thead><tbody>"]
     for index, row in enumerate(rows):
@@ -46,7 +46,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]], classes: Sequen
         lines.append(f"<tr{kind}>")
         for cell in row:
             numeric = isinstance(cell, (int, float)) and not isinstance(cell, bool)
-            text = number(cell) if isinstance(cell, float) else str(cell)
+            text = four_digits(cell) if isinstance(cell, float) else str(cell)
             lines.append(f'<td class="number">{escape(text)}</td>' if numeric else f"<td>{escape(text)}</td>")
         lines.append("</tr>")
     return "\n".join([*lines, "</tbody></table>"])
@@ -68,7 +68,7 @@ def script_data(value: object) -> str:
 
 
 @cache
-def library() -> str:
+def plotly_script() -> str:
     """plotly.js (MIT licence) as gzip in base64: a page unpacks it without a network."""
     content = resources.files("plotly").joinpath("package_data/plotly.min.js").read_bytes()
     return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
@@ -83,7 +83,7 @@ def scene() -> str:
 def scripts(data: object, *more: str) -> str:
     """What draws a page. data: {"charts": figures, "scene", "films"}; more: files that follow."""
     files = ("page.js", "scene.js", "moments.js", "wipe.js", *more)
-    return f"""<script type="text/plain" id="library">{library()}</script>
+    return f"""<script type="text/plain" id="library">{plotly_script()}</script>
 <script type="application/json" id="data">{script_data(data)}</script>
 <script>{"".join(asset(name) for name in files)}
 mphygsPage();</script>"""

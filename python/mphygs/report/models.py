@@ -22,7 +22,7 @@ VERTICES, SEQUENCES, TOTAL = 2200, 8, 1_200_000
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class ShownModel:
     """A belief on its grid [m], by a label."""
 
     label: str
@@ -35,22 +35,22 @@ def vertices_for(sequences: int) -> int:
     return int(VERTICES * min(1.0, 3.0 / sequences))
 
 
-def models_of(run: Run, belief: Belief, steps: Mapping[str, object] | None) -> tuple[Model, ...]:
+def models_of(run: Run, belief: Belief, steps: Mapping[str, object] | None) -> tuple[ShownModel, ...]:
     """The model before anything was added, where the run is one of several steps, and the run's own."""
-    own = Model("after", belief, run.settings.spacing)
+    own = ShownModel("after", belief, run.settings.spacing)
     told = [] if steps is None else steps["steps"]
     if len(told) < 2:
         return (replace(own, label="model"),)
     states = steps.get("states")
     if states:
-        first = Model("before", belief_from_document(states[0]["belief"]), float(states[0]["spacing"]))
+        first = ShownModel("before", belief_from_document(states[0]["belief"]), float(states[0]["spacing"]))
     else:
-        first = Model("before", run.start, run.settings.spacing)
+        first = ShownModel("before", run.start, run.settings.spacing)
     return first, own
 
 
 def predicted_points(
-    experiment: Experiment, model: Model, recording: Recording, skin: Skin
+    experiment: Experiment, model: ShownModel, recording: Recording, skin: Skin
 ) -> np.ndarray | None:
     """(T, M + V, 3) [m] of the markers and the skin by a model; None where it cannot be simulated."""
     settings = replace(experiment.settings, spacing=model.spacing)
@@ -64,7 +64,7 @@ def predicted_points(
 
 def motion_of(
     experiment: Experiment,
-    models: tuple[Model, ...],
+    models: tuple[ShownModel, ...],
     name: str,
     run: Run,
     skin: Skin,

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from mphygs.compare.sensed import sensor_lines
+from mphygs.compare.sensor_residuals import sensor_lines
 from mphygs.report import charts
-from mphygs.report.contents import Contents
 from mphygs.report.evidence import parameters, ranking
-from mphygs.report.filmed import wipe
-from mphygs.report.html import asset, chart, folded, scene, scripts, table
-from mphygs.report.verdict import concluded, sentence, tiles
+from mphygs.report.film_frames import wipe
+from mphygs.report.html import asset, chart, folded, html_table, scene, scripts
+from mphygs.report.page_contents import Contents
+from mphygs.report.verdict import concluded, tiles, verdict_sentence
 
 
-def page(contents: Contents) -> str:
+def report_page(contents: Contents) -> str:
     """One self-contained HTML document."""
     figures: list[dict[str, object]] = []
     sections = (
@@ -55,7 +55,7 @@ DecompressionStream: any of 2023 or later). Tables and text are complete without
 def _verdict(contents: Contents) -> str:
     known = contents.comparison, contents.steps, contents.diagnosis
     verdict, effects = concluded(*known)
-    text = sentence(contents.capture.name, *known)
+    text = verdict_sentence(contents.capture.name, *known)
     small = f"Verdict: {verdict}; effects: {', '.join(effects) or 'none'}."
     numbers = "".join(
         f'<div class="tile"><b>{escape(value)}</b><span>{escape(words)}</span></div>'
@@ -87,11 +87,11 @@ def _fall(contents: Contents, figures: list) -> str:
         for label, error in ranges.items()
         if error is not None and "psnr" in error
     ]
-    pictures = table(["sequence", "frames", "PSNR dB", "IoU %", "chamfer px"], drawn) if drawn else ""
+    pictures = html_table(["sequence", "frames", "PSNR dB", "IoU %", "chamfer px"], drawn) if drawn else ""
     words = "1 is the noise alone; a line that falls for unseen frames as for fitted ones is no bent curve."
     return (
         f'<p class="quiet">{words}</p>{quiet}{chart("chart-fall", "errors by model")}'
-        + folded("the same as a table", table(head, rows))
+        + folded("the same as a table", html_table(head, rows))
         + pictures
     )
 
@@ -136,7 +136,7 @@ def _sensors(contents: Contents, figures: list) -> str:
     )
     return (
         f'<p class="quiet">{words}</p>{chart("chart-sensors", "what instruments measured, and predicted")}'
-        + folded("how far off as a table", table(head, rows))
+        + folded("how far off as a table", html_table(head, rows))
     )
 
 
@@ -153,8 +153,8 @@ def _when(comparison: Mapping[str, object]) -> str:
     ]
     return folded(
         "parts and frames whose error is more than noise",
-        table(["part", "centre mm", "rms mm beyond noise"], where)
-        + table(["sequence", "frames", "rms mm beyond noise"], when),
+        html_table(["part", "centre mm", "rms mm beyond noise"], where)
+        + html_table(["sequence", "frames", "rms mm beyond noise"], when),
     )
 
 
@@ -168,7 +168,7 @@ def _budget(contents: Contents, figures: list) -> str:
     return (
         note
         + chart("chart-budget", "shares of the error")
-        + folded("in mm", table(["share", "rms mm"], rows))
+        + folded("in mm", html_table(["share", "rms mm"], rows))
     )
 
 
@@ -187,11 +187,11 @@ def _force(contents: Contents) -> str:
         for term in found["terms"]
     ]
     pieces = [said, "<p>Arrows on the object above show it over time, on the fitted frames.</p>"]
-    pieces.append(table(["part", "rms N/kg", "share of the square"], where))
-    pieces.append(table(["sequence", "frames with half of the square", "rms N/kg"], when))
+    pieces.append(html_table(["part", "rms N/kg", "share of the square"], where))
+    pieces.append(html_table(["sequence", "frames with half of the square", "rms N/kg"], when))
     if terms:
         head = ["term", "coefficient", "standard error", "unit", "chosen in this share of the resamples"]
-        pieces.append(table(head, terms))
+        pieces.append(html_table(head, terms))
     return "\n".join(pieces)
 
 
@@ -237,4 +237,4 @@ def _measured(contents: Contents) -> str:
             ]
         )
     head = ["sequence", "frames", "per s", "markers", "sigma mm", "fit", "predict", "release"]
-    return table(["part", "volume cm³"], parts) + table(head, rows)
+    return html_table(["part", "volume cm³"], parts) + html_table(head, rows)

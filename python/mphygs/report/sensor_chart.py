@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from mphygs.compare.assess import Compared
-from mphygs.compare.sensed import quantity_label
+from mphygs.compare.sensor_residuals import quantity_label
 from mphygs.report.charts import figure
 
 AXES = "xyz"

@@ -31,7 +31,7 @@ def concluded(
     return ("adequate" if comparison["adequate"] else "not diagnosed"), []
 
 
-def sentence(
+def verdict_sentence(
     name: str,
     comparison: Mapping[str, object],
     steps: Mapping[str, object] | None,

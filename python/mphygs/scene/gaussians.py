@@ -69,7 +69,7 @@ class Gaussians:
         return tuple(getattr(self, field.name) for field in fields(self))
 
 
-def joined(first: Gaussians, second: Gaussians) -> Gaussians:
+def joined_gaussians(first: Gaussians, second: Gaussians) -> Gaussians:
     """The Gaussians of both, of the same degree and number of features."""
     return Gaussians(*(torch.cat(pair) for pair in zip(first.tensors(), second.tensors(), strict=True)))
 

@@ -127,7 +127,9 @@ def largest_body(inside: np.ndarray, *, least_share: float = 0.02) -> np.ndarray
     return inside & np.isin(labels, np.flatnonzero(sizes >= least_share * sizes.max()))
 
 
-def refined(lattice: Lattice, distance: np.ndarray, views: Sequence[SeenDepth]) -> tuple[Lattice, np.ndarray]:
+def refined_near_surface(
+    lattice: Lattice, distance: np.ndarray, views: Sequence[SeenDepth]
+) -> tuple[Lattice, np.ndarray]:
     """A lattice of half the spacing, computed anew only near the surface: distances (X, Y, Z) [m]."""
     fine = Lattice(
         lattice.corner - 0.25 * lattice.spacing, 0.5 * lattice.spacing, tuple(2 * n for n in lattice.shape)
@@ -213,7 +215,7 @@ def solid_behind(
     lift = depth_error(views, reach=_REACH * float(np.linalg.norm(np.ptp(points, axis=0))))
     lifted = [SeenDepth(v.camera, v.depth - np.float32(lift), v.outside) for v in views]
     distance = signed_distance(lifted, coarse.points()).reshape(coarse.shape)
-    lattice, distance = refined(coarse, distance, lifted)
+    lattice, distance = refined_near_surface(coarse, distance, lifted)
     inside = largest_body(distance <= 0)
     distance = np.where((distance <= 0) & ~inside, 0.5 * spacing, distance)
     return lattice, _bounded(distance, inside, spacing), lift

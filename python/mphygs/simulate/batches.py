@@ -11,7 +11,7 @@ from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import core_parameter_nulls, core_parameter_offsets, effect, effects
 from mphygs.simulate.body import Body
 from mphygs.simulate.core_runs import Apart
-from mphygs.simulate.fields import core_effects, places, primal
+from mphygs.simulate.fields import core_effects, core_inputs, places
 
 Owned = tuple[Belief, Parameter]
 
@@ -77,7 +77,8 @@ def batches_of(
         shared = [added[i] for i in members]
         spots, fields, directions = _merged(belief, body, base, owners, shared, [changes[i] for i in members])
         theirs = [
-            (sorted(alone[i]), primal(owned[i][0], body)["effect"]) if alone[i] else None for i in members
+            (sorted(alone[i]), core_inputs(owned[i][0], body)["effect"]) if alone[i] else None
+            for i in members
         ]
         found.append(Batch(members, active, spots, fields, directions, theirs))
     return found
@@ -124,7 +125,7 @@ def _brought(added: frozenset[str], owner: Belief, body: Body) -> np.ndarray:
     for name in added:
         if name in offsets:
             place = slice(offsets[name], offsets[name] + len(known[name].parameters))
-            values[place] = primal(owner, body)["effect"][place]
+            values[place] = core_inputs(owner, body)["effect"][place]
     return values
 
 
@@ -144,7 +145,7 @@ def _merged(
     slots = []
     count = len(spots)
     for owner, names in zip(owners, added, strict=True):
-        fields = primal(owner, body)
+        fields = core_inputs(owner, body)
         # An effect that only this owner has brings its constants (directions, shapes) along.
         constants = _brought(names, owner, body)
         differs = np.isfinite(constants) & (constants != base["effect"]) & (base["effect"] == nulls)

@@ -48,7 +48,7 @@ def _given(observer: Observer | None) -> dict[str, object] | None:
     return None if observer is None else observer.as_dict()
 
 
-def simulate(
+def run_core(
     model: object,
     fields: Arrays,
     schedule: Mapping,
@@ -63,7 +63,7 @@ def simulate(
     return tuple(model.simulate(fields, schedule, progress, hook, _given(observer)))
 
 
-def tangent(
+def run_core_tangent(
     model: object,
     fields: Arrays,
     directions: Sequence[Arrays],
@@ -86,7 +86,7 @@ def tangent(
     return [tuple(t) for t in model.tangent(fields, list(directions), schedule, *given)]
 
 
-def adjoint(
+def run_core_adjoint(
     model: object,
     fields: Arrays,
     schedule: Mapping,

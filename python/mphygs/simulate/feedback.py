@@ -5,10 +5,10 @@ Every carrier (node or particle) n gets the acceleration
     sum_i G_ni [ omega^2 e_i + 2 zeta omega de_i/dt ],   e_i = y_i(t) - h_i(u(t)),
 
 y_i the measured place of marker i between frames (cubic spline), h_i the marker as the simulation has it, G
-how pulls are spread (`mphygs.simulate.spread`). What the model lacks then shows at once and does not pile
-up. Sources: Luenberger, "Observing the state of a linear system", 1964; Hoke & Anthes, "The initialization
-of numerical models by a dynamic-initialization technique", 1976; prediction errors after Ljung, "System
-identification", ch. 7.
+how pulls are spread (`mphygs.simulate.pull_distribution`). What the model lacks then shows at once and does
+not pile up. Sources: Luenberger, "Observing the state of a linear system", 1964; Hoke & Anthes, "The
+initialization of numerical models by a dynamic-initialization technique", 1976; prediction errors after
+Ljung, "System identification", ch. 7.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from scipy.sparse import bsr_matrix, csr_matrix
 
 from mphygs.capture.record import Sequence as Recording
 from mphygs.model.belief import Belief, Parameter
-from mphygs.simulate.carried import Carriers
-from mphygs.simulate.measurement import lateness, unmeasured
+from mphygs.simulate.marker_carriers import Carriers
+from mphygs.simulate.measurement import lateness, without_measurement_faults
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Transfer
@@ -134,7 +134,9 @@ class Feedback:
 
     def _asked(self, belief: Belief, timeline: Timeline) -> tuple[np.ndarray, ...]:
         """What `_splines` takes."""
-        position = unmeasured(belief, np.arange(len(self.position)) / self.recording.fps, self.position)
+        position = without_measurement_faults(
+            belief, np.arange(len(self.position)) / self.recording.fps, self.position
+        )
         late = timeline.clock[0] - timeline.frames[0] / self.recording.fps if len(timeline.clock) else 0.0
         return position, np.asarray(late), timeline.times, timeline.spans
 

@@ -64,7 +64,7 @@ def _place_index(belief: Belief, name: str) -> int:
     return [t.name for t in belief.terms if "place" in t.settings].index(name)
 
 
-def primal(belief: Belief, body: Body) -> dict[str, np.ndarray]:
+def core_inputs(belief: Belief, body: Body) -> dict[str, np.ndarray]:
     """All fields of the core but poses and forces, float64, without prestress."""
     material = point_fields(belief, body)
     mu, lam = lame(material.youngs_modulus, material.poissons_ratio)
@@ -111,8 +111,8 @@ def _effect_numbers(belief: Belief, body: Body, material: PointFields) -> np.nda
     return _core.complete(numbers, list(active), material.youngs_modulus.min(), body.quadrature.spacing.min())
 
 
-def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.ndarray]:
-    """Derivative of `primal` by a parameter's coordinate; absent entries are zero.
+def core_input_tangent(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.ndarray]:
+    """Derivative of `core_inputs` by a parameter's coordinate; absent entries are zero.
 
     Raises KeyError for a parameter that does not act through the simulation.
     """
@@ -162,7 +162,7 @@ def direction(belief: Belief, body: Body, parameter: Parameter) -> dict[str, np.
 def _through_material(
     belief: Belief, body: Body, change: MaterialChange, slope: float
 ) -> dict[str, np.ndarray]:
-    """Derivative of `primal` by what changes the material, slope times."""
+    """Derivative of `core_inputs` by what changes the material, slope times."""
     material, out = point_fields(belief, body), {}
     if change.youngs_modulus is not None:
         mu, lam = lame(material.youngs_modulus, material.poissons_ratio)

@@ -1,7 +1,7 @@
 """What instruments beside the markers read of a run, with its tangent and its adjoint.
 
-As markers are (`mphygs.simulate.carried`), an instrument is a map from the states of a run to numbers by
-frame, (T, V, 3): V vectors of one unit each. What it reads beyond the states, the weight of what a hold
+As markers are (`mphygs.simulate.marker_carriers`), an instrument is a map from the states of a run to numbers
+by frame, (T, V, 3): V vectors of one unit each. What it reads beyond the states, the weight of what a hold
 carries or the gravity that an accelerometer feels, depends on the belief alone.
 """
 
@@ -17,9 +17,9 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import FORCE, Sensor
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.body import Body
-from mphygs.simulate.carried import Carriers
 from mphygs.simulate.fields import gravity_of
 from mphygs.simulate.held_material import HeldMaterial
+from mphygs.simulate.marker_carriers import Carriers
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Transfer
 

@@ -15,11 +15,11 @@ from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate import core_runs
 from mphygs.simulate.body import LANES, Attachment, Body
-from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
+from mphygs.simulate.marker_carriers import Carriers
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.particle_body import ParticleBody
-from mphygs.simulate.spread import on_particles
+from mphygs.simulate.pull_distribution import on_particles
 from mphygs.simulate.transfer import Start, Transfer
 
 # Particles that carry one marker together: about those within 0.85 of a spacing.
@@ -188,7 +188,7 @@ class MaterialPoints(Transfer):
         hook: object | None,
         observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
-        return self._displaced(core_runs.simulate(model, fields, schedule, progress, hook, observer))
+        return self._displaced(core_runs.run_core(model, fields, schedule, progress, hook, observer))
 
     def _displaced(self, trajectory: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         position, *others = trajectory
@@ -205,7 +205,7 @@ class MaterialPoints(Transfer):
         apart: Sequence[Apart | None] = (),
         observer: Observer | None = None,
     ) -> list[tuple[np.ndarray, ...]]:
-        value, *slopes = core_runs.tangent(
+        value, *slopes = core_runs.run_core_tangent(
             model, fields, directions, schedule, progress, hook, observer=observer
         )
         return [self._displaced(value), *slopes]
@@ -220,7 +220,7 @@ class MaterialPoints(Transfer):
         observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:
         displacement, velocity, *reaction = bars
-        return core_runs.adjoint(
+        return core_runs.run_core_adjoint(
             model, fields, schedule, (displacement, velocity, None, *reaction), hook, observer
         )
 

@@ -18,7 +18,7 @@ def lateness(belief: Belief) -> float:
     return sum((fault.late(values) for fault, values in _acting(belief)), 0.0)
 
 
-def measured(
+def with_measurement_faults(
     belief: Belief,
     wanted: Sequence[Owned],
     times: np.ndarray,
@@ -50,7 +50,7 @@ def measured(
     return position, velocity, jacobian
 
 
-def unmeasured(belief: Belief, times: np.ndarray, position: np.ndarray) -> np.ndarray:
+def without_measurement_faults(belief: Belief, times: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Where the markers truly were, (T, M, 3) [m]: what was measured, less the belief's faults but for the
     clock."""
     for fault, values in reversed(_acting(belief)):

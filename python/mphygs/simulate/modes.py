@@ -17,7 +17,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from mphygs import _core
 from mphygs.model.belief import Belief
-from mphygs.simulate.fields import core_effects, places, primal
+from mphygs.simulate.fields import core_effects, core_inputs, places
 from mphygs.simulate.rows import held_rows
 from mphygs.simulate.user_effects import forces_of
 
@@ -72,7 +72,7 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
     body = predictor.body
     spots = places(belief)
     more = {"places": spots, "place_cell": body.nearest_cell(spots)} if len(spots) else {}
-    fields = primal(belief, body)
+    fields = core_inputs(belief, body)
     if belief.prestress == "equilibrium":
         solution = predictor.rest_shape.solve(belief)
         fields["deformation0"] = solution["deformation0"]

@@ -109,7 +109,7 @@ class _Rollout(torch.autograd.Function):
     def forward(plan: _Plan, *tensors: Tensor) -> tuple[Tensor, ...]:
         arrays = [_array(t) for t in tensors]
         runs = plan.each(
-            lambda w: core_runs.simulate(
+            lambda w: core_runs.run_core(
                 plan.model,
                 plan.fields(w, arrays),
                 plan.schedules[w],
@@ -163,7 +163,7 @@ class _Gradient(torch.autograd.Function):
             given = [None if bar is None else _array(bar) for bar in own]
             fields, schedule = plan.fields(window, arrays), plan.schedules[window]
             observer = plan.observers[window]
-            return core_runs.adjoint(plan.model, fields, schedule, given, hook, observer), hook
+            return core_runs.run_core_adjoint(plan.model, fields, schedule, given, hook, observer), hook
 
         sums: list[np.ndarray | None] = [
             np.zeros_like(a) if w else None for a, w in zip(arrays, wanted, strict=True)
@@ -243,7 +243,7 @@ def _tangents(
         fields = [plan.fields(window, direction) for direction in directions]
         hook = plan.hook(window, arrays, directions)
         own, schedule, observer = plan.fields(window, arrays), plan.schedules[window], plan.observers[window]
-        return core_runs.tangent(plan.model, own, fields, schedule, hook=hook, observer=observer)[1:]
+        return core_runs.run_core_tangent(plan.model, own, fields, schedule, hook=hook, observer=observer)[1:]
 
     size = core_runs.state_size(plan.model)
     return [np.stack([tangent[part] for tangent in run]) for run in plan.each(work) for part in range(size)]

@@ -19,14 +19,14 @@ from mphygs.model.registry import effect
 from mphygs.simulate.actuation import Actuation, acts_by_channels
 from mphygs.simulate.batches import Batch, Owned, batches_of
 from mphygs.simulate.body import Body, discretise, hold_boxes
-from mphygs.simulate.carried import Carriers
 from mphygs.simulate.errors import Halted
 from mphygs.simulate.feedback import Feedback
-from mphygs.simulate.fields import core_effects, direction, places, primal
+from mphygs.simulate.fields import core_effects, core_input_tangent, core_inputs, places
 from mphygs.simulate.instruments import Instrument, check_force_sensors, instrument_of
+from mphygs.simulate.marker_carriers import Carriers
 from mphygs.simulate.material_points import MaterialPoints
 from mphygs.simulate.measured_start import MeasuredStart, start_numbers, start_sequence
-from mphygs.simulate.measurement import lateness, measured
+from mphygs.simulate.measurement import lateness, with_measurement_faults
 from mphygs.simulate.particle_body import discretise_particles
 from mphygs.simulate.predicted import Prediction, Started, readings_of
 from mphygs.simulate.prestress import RestShape
@@ -131,7 +131,7 @@ class Predictor:
         largest rates of the linearised model, found by power iteration.
         """
         model = self.model_of(belief)
-        fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
+        fields = core_inputs(belief_of_sequence(belief, self.recording.name), self.body)
         active = list(core_effects(belief))
         fields["effect"] = _core.worst_case(fields["effect"], active)
         if self.actuation.core is not None:
@@ -176,7 +176,7 @@ class Predictor:
 
     def _material(self, belief: Belief, start: Start | None) -> dict[str, np.ndarray]:
         """Fields of the belief and of the initial state."""
-        fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
+        fields = core_inputs(belief_of_sequence(belief, self.recording.name), self.body)
         if belief.prestress == "equilibrium":
             fields |= self.transfer.prestressed(belief)
         start = start or self.start(belief)
@@ -224,7 +224,7 @@ class Predictor:
         """Direction of all fields for each parameter, prestress included."""
         here = self.recording.name
         changes = [
-            direction(owner, self.body, parameter)
+            core_input_tangent(owner, self.body, parameter)
             if acts_in_simulation(parameter)
             and start_sequence(parameter) is None
             and not acts_by_channels(parameter)
@@ -341,7 +341,9 @@ class Predictor:
                 later = self._started(owner, parameter, end, dt, feedback)
                 jacobian[..., slot] = (later.position - position) * later.slope - velocity * parameter.slope
         times = timeline.frames / self.recording.fps
-        position, velocity, jacobian = measured(belief, wanted, times, position, velocity, jacobian)
+        position, velocity, jacobian = with_measurement_faults(
+            belief, wanted, times, position, velocity, jacobian
+        )
         names = tuple(p.key for _, p in wanted)
         prediction = Prediction(
             timeline.frames,
@@ -398,7 +400,7 @@ class Predictor:
         """Von Mises stress of the base law at the quadrature points, (T, B, 8) [Pa], at frames 0..last-1."""
         timeline = self.timeline(belief, last, self.stable_substep(belief))
         f = self.transfer.deformation(self.states(belief, timeline, feedback=feedback), belief)
-        mu = primal(belief, self.body)["mu"][: f.shape[1]]
+        mu = core_inputs(belief, self.body)["mu"][: f.shape[1]]
         # Kirchhoff deviator of the neo-Hookean law: mu dev(F F^T).
         b = f @ np.swapaxes(f, -1, -2)
         b = b - np.trace(b, axis1=-2, axis2=-1)[..., None, None] / 3.0 * np.eye(3)

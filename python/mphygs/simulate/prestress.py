@@ -15,9 +15,9 @@ from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import (
     at_rest,
     core_effects,
-    direction,
+    core_input_tangent,
+    core_inputs,
     places,
-    primal,
 )
 
 # Shares of the load on the way to it, where Newton's method does not get there at once: few, then many.
@@ -87,7 +87,7 @@ class RestShape:
         Raises SimulationError where the object cannot carry its weight in the published shape.
         """
         rest = self._prepare(belief)
-        fields = primal(rest, self._body)
+        fields = core_inputs(rest, self._body)
         load = _load(self._model, fields)
         # At a growing strain the rest state is that of time zero: nothing has grown yet.
         signature = np.concatenate(
@@ -134,7 +134,7 @@ class RestShape:
             beside = None
         solved = self._solution_of(beside or belief)
         rest, active = _acting(belief)
-        fields = primal(rest, self._body)
+        fields = core_inputs(rest, self._body)
         model = self._model if beside is None else self._unsolved(rest, active)
         load = _load(model, fields)
         zero = np.zeros((load.shape[0], 3))
@@ -144,7 +144,7 @@ class RestShape:
                 directions.append(({}, zero))
                 continue
             try:
-                change = direction(rest, self._body, parameter)
+                change = core_input_tangent(rest, self._body, parameter)
             except KeyError:
                 directions.append(({}, zero))
                 continue

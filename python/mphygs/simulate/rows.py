@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from mphygs.scene.particles import HoldFace, find_joints
-from mphygs.simulate.ties import tie_rows
+from mphygs.simulate.joint_constraints import tie_rows
 
 if TYPE_CHECKING:
     from mphygs.simulate.body import Body

@@ -26,7 +26,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.holds import Hold
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.body import LANES, Body, discretise
-from mphygs.simulate.fields import primal
+from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.modes import SOFT, lowest_modes
 from mphygs.simulate.rows import held_rows
 
@@ -71,7 +71,7 @@ def _shapes(capture: Capture, boxes: bytes) -> StartShapes:
     material = (("youngs_modulus", MODULUS), ("poissons_ratio", RATIO), ("density", DENSITY))
     alike = tuple(Parameter(f"{part}.{q}", value, "") for part in body.part_names for q, value in material)
     belief = Belief(body.part_names, np.zeros(3), alike)
-    shape, _ = lowest_modes(body, primal(belief, body), SHAPES, inertia=INERTIA)
+    shape, _ = lowest_modes(body, core_inputs(belief, body), SHAPES, inertia=INERTIA)
     model = _grid_model(body)
     found = StartShapes(body, model, shape)
     value, _ = found.at(body.quadrature.points.reshape(-1, 3), np.repeat(body.quadrature.part, LANES))

@@ -14,10 +14,10 @@ from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW
 from mphygs.simulate import core_runs
 from mphygs.simulate.body import Attachment, Body, core_model, with_places
-from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
+from mphygs.simulate.marker_carriers import Carriers
 from mphygs.simulate.observer import Observer
-from mphygs.simulate.spread import on_nodes
+from mphygs.simulate.pull_distribution import on_nodes
 from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
@@ -149,7 +149,7 @@ class TotalLagrangian(Transfer):
         hook: object | None,
         observer: Observer | None = None,
     ) -> tuple[np.ndarray, ...]:
-        return core_runs.simulate(model, fields, schedule, progress, hook, observer)
+        return core_runs.run_core(model, fields, schedule, progress, hook, observer)
 
     def tangent(
         self,
@@ -162,7 +162,9 @@ class TotalLagrangian(Transfer):
         apart: Sequence[Apart | None] = (),
         observer: Observer | None = None,
     ) -> list[tuple[np.ndarray, ...]]:
-        return core_runs.tangent(model, fields, directions, schedule, progress, hook, apart, observer)
+        return core_runs.run_core_tangent(
+            model, fields, directions, schedule, progress, hook, apart, observer
+        )
 
     def adjoint(
         self,
@@ -173,7 +175,7 @@ class TotalLagrangian(Transfer):
         hook: object | None,
         observer: Observer | None = None,
     ) -> dict[str, np.ndarray]:
-        return core_runs.adjoint(model, fields, schedule, bars, hook, observer)
+        return core_runs.run_core_adjoint(model, fields, schedule, bars, hook, observer)
 
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
         q = self.body.quadrature

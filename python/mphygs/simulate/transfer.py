@@ -13,8 +13,8 @@ from mphygs.capture.actuators import Force
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.body import Attachment, Body
-from mphygs.simulate.carried import Carriers
 from mphygs.simulate.core_runs import Apart, Arrays, Progress
+from mphygs.simulate.marker_carriers import Carriers
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.settings import Settings

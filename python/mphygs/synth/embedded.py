@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mphygs.capture.motions import Motion
+from mphygs.capture.motions import HoldMovement
 from mphygs.synth.make import make_capture
-from mphygs.synth.markers import Noise
+from mphygs.synth.marker_noise import Noise
 from mphygs.synth.recipe import Take, recipe
 
 
@@ -19,8 +19,8 @@ def embedded_capture(folder: str | Path) -> Path:
     folder = Path(folder)
     if (folder / "answer.json").is_file():
         return folder
-    shift = (Motion("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
-    shake = (Motion("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
+    shift = (HoldMovement("shift", 0.08, 0.33, by=(0.0, 0.018, 0.009)),)
+    shake = (HoldMovement("shake", 0.08, 0.75, by=(0.0, 0.004, 0.004), frequency=4.0, ramp=0.2),)
     takes = (
         Take("release", shift, 60.0, 48, (0, 30), (30, 48), release=2),
         Take("shake", shake, 60.0, 48, (0, 0), (0, 48), release=2),

@@ -35,7 +35,7 @@ class Hidden:
         return loads and bool(self.settings.get("at_rest", True))
 
 
-def names() -> tuple[str, ...]:
+def hidden_names() -> tuple[str, ...]:
     """Everything that can be hidden, by name."""
     never = {USUAL_LAW, *(n for n, spec in effects().items() if spec.fault or spec.carries_gravity)}
     return (
@@ -65,8 +65,8 @@ def hidden(
     name: str, shape: Shape, mass: float, youngs_modulus: float, given: Mapping[str, object]
 ) -> Hidden:
     """The hidden thing called `name` with the given numbers and settings, the usual ones for the rest."""
-    if name not in names():
-        raise ValueError(f"hidden effect '{name}': expected one of {', '.join(names())}")
+    if name not in hidden_names():
+        raise ValueError(f"hidden effect '{name}': expected one of {', '.join(hidden_names())}")
     settings = {k: v for k, v in given.items() if k in SETTINGS}
     values = {k: v for k, v in given.items() if k not in SETTINGS}
     for key, value in values.items():

@@ -17,12 +17,12 @@ from mphygs.synth.drive import arriving, stated
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
-from mphygs.synth.instruments import measured, unmeasured
-from mphygs.synth.markers import measure, place_markers
+from mphygs.synth.marker_noise import measure, place_markers
 from mphygs.synth.motion import Motion
 from mphygs.synth.recipe import Recipe, Take, truth_spacing
 from mphygs.synth.shapes import Shape
-from mphygs.synth.truth import simulate
+from mphygs.synth.synthetic_sensors import empty_sensors, measured_sensors
+from mphygs.synth.truth import simulate_truth
 
 # Of the size of an object: how far about its tip it is pulled.
 TIP = 0.12
@@ -55,7 +55,7 @@ def make_capture(
     offset = faults["time_offset"]["offset"] if "time_offset" in faults else 0.0
     capture = _bare_capture(recipe, folder, places)
     spacing = truth_spacing(recipe.spacing_share, sum(part.volume for part in capture.parts))
-    run = simulate_finite_element if recipe.simulator == "finite-element" else simulate
+    run = simulate_finite_element if recipe.simulator == "finite-element" else simulate_truth
     physics = tuple(h for h in recipe.hidden if h.kind != "fault")
     compared = bool(recipe.hidden and measure_signal)
     work = _Work(report, sum(_moving(t) for t in recipe.takes) * (2 if compared and physics else 1))
@@ -73,7 +73,7 @@ def make_capture(
         # Noise of its own seed: the same with and without a fault that draws numbers.
         tracks = measure(seen, recipe.noise, np.random.default_rng([recipe.seed, 4, number]))
         draw = np.random.default_rng([recipe.seed, 5, number])
-        sensors = measured(recording, motion.readings, offset, draw)
+        sensors = measured_sensors(recording, motion.readings, offset, draw)
         markers = Markers(tracks, places, recipe.noise.sigma)
         recordings.append(replace(recording, markers=markers, sensors=sensors))
         if compared:
@@ -190,7 +190,7 @@ def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -
         held=(hold,),
         release=take.release,
         markers=unseen,
-        sensors=unmeasured(recipe.sensors, shape, frames),
+        sensors=empty_sensors(recipe.sensors, shape, frames),
         actuators=driven,
     )
 

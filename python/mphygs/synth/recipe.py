@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mphygs.capture.motions import Motion
+from mphygs.capture.motions import HoldMovement
 from mphygs.simulate.settings import TRANSFERS
 from mphygs.synth.drive import Drive
 from mphygs.synth.hidden import Hidden, parse
-from mphygs.synth.instruments import parse_sensors
-from mphygs.synth.markers import Noise
+from mphygs.synth.marker_noise import Noise
 from mphygs.synth.shapes import Shape, shape
+from mphygs.synth.synthetic_sensors import parse_sensors
 
 SIMULATORS = (*TRANSFERS, "finite-element")
 KNOWN = ("first-density", "densities", "mass", "none")
@@ -36,7 +36,7 @@ class Take:
     that the capture states."""
 
     name: str
-    motions: tuple[Motion, ...]
+    motions: tuple[HoldMovement, ...]
     fps: float
     frames: int
     fit: tuple[int, int]
@@ -72,7 +72,7 @@ class Recipe:
     spacing_share: of the spacing at which the object is worth TRUTH_CELLS cells, at which the truth is
     simulated (see `truth_spacing`); known: what the capture states beside Poisson's ratio, the density of the
     first part, of all parts, or the mass of the object; sensors: kind -> standard deviation, see
-    `mphygs.synth.instruments`.
+    `mphygs.synth.synthetic_sensors`.
     simulator: a transfer of the core, "total-lagrangian" or "mls", or "finite-element" for code that shares
     nothing with the model fitted and takes objects of boxes; its bricks are at most twice the spacing, having
     three nodes each way.
@@ -107,23 +107,25 @@ class Recipe:
         return tuple(h for h in self.hidden if h.kind == kind)
 
 
-def usual_motion(kind: str, lying: bool) -> Motion:
+def usual_motion(kind: str, lying: bool) -> HoldMovement:
     """A movement of the hold that shakes an object well; lying: one that stretches across gravity along x.
 
     Raises ValueError for a kind that there is not.
     """
     table = {
-        "shake": Motion("shake", 0.1, 1.9, by=(0.008, 0.005, 0.0), frequency=1.7, ramp=0.25),
-        "rock": Motion("rock", 0.1, 1.9, axis=(0.0, 0.0, 1.0), degrees=30.0, frequency=1.0, ramp=0.25),
-        "shift": Motion("shift", 0.3, 1.0, by=(0.02, 0.0, 0.03)),
-        "turn": Motion("turn", 0.6, 1.3, axis=(0.0, 1.0, 0.0), degrees=5.0),
+        "shake": HoldMovement("shake", 0.1, 1.9, by=(0.008, 0.005, 0.0), frequency=1.7, ramp=0.25),
+        "rock": HoldMovement("rock", 0.1, 1.9, axis=(0.0, 0.0, 1.0), degrees=30.0, frequency=1.0, ramp=0.25),
+        "shift": HoldMovement("shift", 0.3, 1.0, by=(0.02, 0.0, 0.03)),
+        "turn": HoldMovement("turn", 0.6, 1.3, axis=(0.0, 1.0, 0.0), degrees=5.0),
     }
     if lying:
         table = {
-            "shake": Motion("shake", 0.1, 1.2, by=(0.0, 0.005, 0.003), frequency=3.1, ramp=0.25),
-            "rock": Motion("rock", 0.1, 1.2, axis=(0.0, 1.0, 0.2), degrees=8.0, frequency=2.2, ramp=0.25),
-            "shift": Motion("shift", 0.1, 0.4, by=(0.0, 0.02, 0.01)),
-            "turn": Motion("turn", 0.3, 0.8, axis=(1.0, 0.0, 0.0), degrees=25.0),
+            "shake": HoldMovement("shake", 0.1, 1.2, by=(0.0, 0.005, 0.003), frequency=3.1, ramp=0.25),
+            "rock": HoldMovement(
+                "rock", 0.1, 1.2, axis=(0.0, 1.0, 0.2), degrees=8.0, frequency=2.2, ramp=0.25
+            ),
+            "shift": HoldMovement("shift", 0.1, 0.4, by=(0.0, 0.02, 0.01)),
+            "turn": HoldMovement("turn", 0.3, 0.8, axis=(1.0, 0.0, 0.0), degrees=25.0),
         }
     if kind not in table:
         raise ValueError(f"motion '{kind}': expected one of {', '.join(table)}")

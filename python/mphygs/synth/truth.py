@@ -32,7 +32,7 @@ def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> B
     return replace(belief, known_mass=None)
 
 
-def simulate(
+def simulate_truth(
     capture: Capture,
     recording: Recording,
     recipe: Recipe,

@@ -18,7 +18,7 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class Tracks:
+class ExaminedTracks:
     """position: (T, M, 3) [m], NaN where not measured; at: (M, 3) [m] places on the object at rest; sigma: of
     a coordinate [m], as stated; release: all points rest until this frame, None where none is stated;
     zero_is_missing: as the capture says, None where it does not; raw: the file's own numbers [m], where they
@@ -42,7 +42,7 @@ class Tracks:
         """(T, M) bool."""
         return np.isfinite(self.position).all(axis=2)
 
-    def found(self, finding: Finding, **changes: object) -> Tracks:
+    def found(self, finding: Finding, **changes: object) -> ExaminedTracks:
         """The tracks after a finding."""
         return replace(self, findings=(*self.findings, finding), **changes)
 

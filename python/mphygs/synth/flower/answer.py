@@ -8,7 +8,7 @@ from dataclasses import asdict
 import numpy as np
 
 from mphygs.capture.meshes import Part
-from mphygs.synth.flower.motion import Settled, TrueMotion
+from mphygs.synth.flower.true_motion import Settled, TrueMotion
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.recipe import Recipe
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from mphygs.synth.flower.surface import Surface, quads
+from mphygs.synth.flower.textured_surface import Surface, quads
 
 
 @dataclass(frozen=True)

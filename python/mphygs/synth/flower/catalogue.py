@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from mphygs.synth.flower.blade import Outline
 from mphygs.synth.flower.paint import BladePaint, RoundPaint
-from mphygs.synth.flower.species import GREEN, PALE_GREEN, LeafAt, Species, Substance, Whorl
+from mphygs.synth.flower.species import GREEN, PALE_GREEN, LeafAt, Species, Tissue, Whorl
 
 
 def _leaf(length: float = 0.032, half_width: float = 0.008, **more: object) -> Outline:
@@ -34,7 +34,7 @@ _DAISY = Species(
         Whorl(
             "petals", 12, _petal(0.024, 0.0055, (18.0, 14.0, 4.0, -8.0), cup=0.001),
             BladePaint((0.86, 0.84, 0.74), (0.93, 0.93, 0.95), (0.62, 0.63, 0.70), veins=5.0),
-            Substance(2.2e5, 260.0), columns=4,
+            Tissue(2.2e5, 260.0), columns=4,
         ),
     ),
     (LeafAt(0.40, 20.0, _leaf()), LeafAt(0.58, 190.0, _leaf(0.026))),
@@ -48,12 +48,12 @@ _TULIP = Species(
         Whorl(
             "petals", 3, _petal(0.034, 0.014, (5.0, 62.0, 86.0, 92.0, 84.0), cup=0.004, rounding=0.3),
             BladePaint((0.88, 0.72, 0.25), (0.80, 0.13, 0.16), (0.60, 0.05, 0.14), veins=9.0),
-            Substance(3.0e5, 300.0), columns=8, vary=0.05,
+            Tissue(3.0e5, 300.0), columns=8, vary=0.05,
         ),
         Whorl(
             "inner_petals", 3, _petal(0.029, 0.008, (40.0, 84.0, 92.0, 94.0), cup=0.002, rounding=0.3),
             BladePaint((0.90, 0.78, 0.30), (0.86, 0.22, 0.18), (0.64, 0.08, 0.14), veins=7.0),
-            Substance(1.8e5, 280.0), columns=6, turn=0.5, vary=0.05,
+            Tissue(1.8e5, 280.0), columns=6, turn=0.5, vary=0.05,
         ),
     ),
     (LeafAt(0.30, 60.0, _leaf(0.048, 0.009, rise=(72.0, 74.0, 66.0, 50.0), rounding=0.0, cup=0.004)),),
@@ -72,7 +72,7 @@ _POPPY = Species(
                 ruffle=0.0014, waves=3.0, rounding=0.28,
             ),
             BladePaint((0.16, 0.06, 0.12), (0.90, 0.24, 0.10), (0.62, 0.10, 0.08), veins=13.0),
-            Substance(1.6e5, 240.0), columns=8,
+            Tissue(1.6e5, 240.0), columns=8,
         ),
     ),
     (LeafAt(0.45, 120.0, _leaf(0.030, 0.007, ruffle=0.0015)),),
@@ -91,7 +91,7 @@ _LILY = Species(
                 cup=0.0015, rounding=0.1, rows=14,
             ),
             BladePaint((0.95, 0.80, 0.86), (0.90, 0.45, 0.62), (0.55, 0.10, 0.26), veins=3.0, spots=0.17),
-            Substance(3.2e5, 280.0), columns=4, vary=0.06,
+            Tissue(3.2e5, 280.0), columns=4, vary=0.06,
         ),
     ),
     (
@@ -103,7 +103,7 @@ _LILY = Species(
     receptacle=0.0068,
     dome=0.009,
     lean=18.0,
-    stem_substance=Substance(1.0e6, 420.0),
+    stem_substance=Tissue(1.0e6, 420.0),
 )  # fmt: skip
 _SUNFLOWER = Species(
     "sunflower",
@@ -113,7 +113,7 @@ _SUNFLOWER = Species(
                 0.021, 0.0055, (22.0, 18.0, 8.0), widths=(0.5, 0.9, 1.0, 0.75, 0.3), cup=0.001, rounding=0.1
             ),
             BladePaint((0.86, 0.55, 0.05), (0.96, 0.80, 0.12), (0.74, 0.45, 0.04), veins=5.0),
-            Substance(2.4e5, 270.0), columns=3,
+            Tissue(2.4e5, 270.0), columns=3,
         ),
     ),
     (
@@ -128,8 +128,8 @@ _SUNFLOWER = Species(
     dome=0.004,
     radius=0.0055,
     top_radius=0.0048,
-    stem_substance=Substance(9e5, 420.0),
-    centre_substance=Substance(1.1e5, 300.0),
+    stem_substance=Tissue(9e5, 420.0),
+    centre_substance=Tissue(1.1e5, 300.0),
 )  # fmt: skip
 _ANEMONE = Species(
     "anemone",
@@ -137,7 +137,7 @@ _ANEMONE = Species(
         Whorl(
             "petals", 8, _petal(0.026, 0.0105, (20.0, 28.0, 24.0, 12.0), cup=0.0025, rounding=0.25),
             BladePaint((0.88, 0.86, 0.95), (0.36, 0.30, 0.78), (0.22, 0.16, 0.56), veins=9.0),
-            Substance(1.9e5, 250.0), columns=4,
+            Tissue(1.9e5, 250.0), columns=4,
         ),
     ),
     (
@@ -157,7 +157,7 @@ _COSMOS = Species(
                 rounding=-0.08, ruffle=0.0008, waves=2.0,
             ),
             BladePaint((0.70, 0.16, 0.44), (0.93, 0.58, 0.78), (0.66, 0.22, 0.50), veins=11.0),
-            Substance(2.0e5, 240.0), columns=4,
+            Tissue(2.0e5, 240.0), columns=4,
         ),
     ),
     (LeafAt(0.50, 200.0, _leaf(0.036, 0.004, rise=(55.0, 45.0, 25.0))),),
@@ -176,7 +176,7 @@ _BUTTERCUP = Species(
                 rounding=0.3,
             ),
             BladePaint((0.80, 0.66, 0.06), (0.97, 0.86, 0.12), (0.76, 0.60, 0.06), veins=9.0),
-            Substance(1.7e5, 270.0), columns=6,
+            Tissue(1.7e5, 270.0), columns=6,
         ),
     ),
     (LeafAt(0.50, 310.0, _leaf(0.028, 0.009)), LeafAt(0.66, 130.0, _leaf(0.022, 0.007))),
@@ -195,7 +195,7 @@ _BELLFLOWER = Species(
                 cup=0.0015, rounding=0.1, rows=12,
             ),
             BladePaint((0.62, 0.58, 0.92), (0.40, 0.34, 0.86), (0.26, 0.20, 0.62), veins=7.0),
-            Substance(2.6e5, 280.0), columns=6, vary=0.05,
+            Tissue(2.6e5, 280.0), columns=6, vary=0.05,
         ),
     ),
     (LeafAt(0.32, 180.0, _leaf(0.030, 0.009)), LeafAt(0.50, 20.0, _leaf(0.026, 0.008))),
@@ -208,7 +208,7 @@ _BELLFLOWER = Species(
     lean=128.0,
     radius=0.0050,
     top_radius=0.0038,
-    stem_substance=Substance(1.3e6, 420.0),
+    stem_substance=Tissue(1.3e6, 420.0),
 )  # fmt: skip
 _LOTUS = Species(
     "lotus",
@@ -219,7 +219,7 @@ _LOTUS = Species(
                 rounding=0.05,
             ),
             BladePaint((0.96, 0.92, 0.88), (0.92, 0.52, 0.66), (0.82, 0.34, 0.54), veins=9.0),
-            Substance(2.4e5, 300.0), columns=4, vary=0.05,
+            Tissue(2.4e5, 300.0), columns=4, vary=0.05,
         ),
         Whorl(
             "inner_petals", 8, _petal(
@@ -227,7 +227,7 @@ _LOTUS = Species(
                 rounding=0.05,
             ),
             BladePaint((0.97, 0.95, 0.86), (0.95, 0.70, 0.78), (0.88, 0.50, 0.62), veins=7.0),
-            Substance(1.5e5, 280.0), columns=4, turn=0.5, vary=0.05,
+            Tissue(1.5e5, 280.0), columns=4, turn=0.5, vary=0.05,
         ),
     ),
     (LeafAt(0.38, 100.0, _leaf(0.034, 0.014, widths=(0.15, 0.85, 1.0, 0.95, 0.7, 0.3), rounding=0.2)),),
@@ -249,7 +249,7 @@ _PEONY = Species(
                 ruffle=0.0012, waves=2.0, rounding=0.22,
             ),
             BladePaint((0.80, 0.24, 0.42), (0.95, 0.66, 0.74), (0.74, 0.30, 0.46), veins=11.0),
-            Substance(1.8e5, 260.0), columns=5, vary=0.06,
+            Tissue(1.8e5, 260.0), columns=5, vary=0.06,
         ),
         Whorl(
             "inner_petals", 6, _petal(
@@ -257,7 +257,7 @@ _PEONY = Species(
                 rounding=0.2,
             ),
             BladePaint((0.70, 0.14, 0.32), (0.90, 0.44, 0.58), (0.62, 0.14, 0.32), veins=7.0),
-            Substance(1.1e5, 240.0), columns=5, turn=0.5, vary=0.05,
+            Tissue(1.1e5, 240.0), columns=5, turn=0.5, vary=0.05,
         ),
     ),
     (LeafAt(0.36, 40.0, _leaf(0.036, 0.011)), LeafAt(0.54, 215.0, _leaf(0.030, 0.010))),
@@ -267,7 +267,7 @@ _PEONY = Species(
     dome=0.005,
     radius=0.0050,
     top_radius=0.0042,
-    stem_substance=Substance(8e5, 420.0),
+    stem_substance=Tissue(8e5, 420.0),
 )  # fmt: skip
 _CROCUS = Species(
     "crocus",
@@ -278,7 +278,7 @@ _CROCUS = Species(
                 cup=0.002, rounding=0.08, rows=12,
             ),
             BladePaint((0.88, 0.84, 0.94), (0.56, 0.30, 0.74), (0.38, 0.14, 0.56), veins=9.0),
-            Substance(2.2e5, 270.0), columns=4, vary=0.06,
+            Tissue(2.2e5, 270.0), columns=4, vary=0.06,
         ),
     ),
     (
@@ -293,7 +293,7 @@ _CROCUS = Species(
     stem=0.060,
     radius=0.0042,
     lean=4.0,
-    leaf_substance=Substance(6e5, 320.0),
+    leaf_substance=Tissue(6e5, 320.0),
     stem_paint=RoundPaint(PALE_GREEN, PALE_GREEN),
 )  # fmt: skip
 

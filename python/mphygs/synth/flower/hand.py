@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mphygs.capture.motions import Motion
+from mphygs.capture.motions import HoldMovement
 from mphygs.synth.recipe import Take
 
 FPS = 50.0
@@ -37,34 +37,36 @@ def hand_takes(frames: int, seed: int, *, fps: float = FPS) -> tuple[Take, ...]:
     return tuple(takes)
 
 
-def _into_the_frog(length: float, size: float, generator: np.random.Generator) -> Sequence[Motion]:
+def _into_the_frog(length: float, size: float, generator: np.random.Generator) -> Sequence[HoldMovement]:
     way, axis, turn = _directions(generator)
     far = size * generator.uniform(0.026, 0.036)
     high, deep = size * generator.uniform(0.014, 0.020), size * generator.uniform(0.020, 0.026)
     tilt = size * generator.uniform(9.0, 14.0)
     return (
-        Motion("shift", 0.02 * length, 0.30 * length, by=(0.0, 0.0, high)),
-        Motion("shift", 0.08 * length, 0.48 * length, by=tuple(far * way)),
-        Motion("turn", 0.04 * length, 0.28 * length, axis=tuple(axis), degrees=tilt),
-        Motion("turn", 0.34 * length, 0.56 * length, axis=tuple(axis), degrees=-tilt),
-        Motion("turn", 0.10 * length, 0.50 * length, axis=(0.0, 0.0, 1.0), degrees=35.0 * size * turn),
+        HoldMovement("shift", 0.02 * length, 0.30 * length, by=(0.0, 0.0, high)),
+        HoldMovement("shift", 0.08 * length, 0.48 * length, by=tuple(far * way)),
+        HoldMovement("turn", 0.04 * length, 0.28 * length, axis=tuple(axis), degrees=tilt),
+        HoldMovement("turn", 0.34 * length, 0.56 * length, axis=tuple(axis), degrees=-tilt),
+        HoldMovement("turn", 0.10 * length, 0.50 * length, axis=(0.0, 0.0, 1.0), degrees=35.0 * size * turn),
         # Quick, and ended by the pins.
-        Motion("shift", 0.56 * length, 0.66 * length, by=(0.0, 0.0, -deep)),
+        HoldMovement("shift", 0.56 * length, 0.66 * length, by=(0.0, 0.0, -deep)),
         _tremor(0.05 * length, 0.56 * length, generator),
     )
 
 
-def _turned(length: float, size: float, generator: np.random.Generator) -> Sequence[Motion]:
+def _turned(length: float, size: float, generator: np.random.Generator) -> Sequence[HoldMovement]:
     way, axis, turn = _directions(generator)
     far = size * generator.uniform(0.006, 0.009)
     return (
-        Motion("shift", 0.02 * length, 0.35 * length, by=(0.0, 0.0, size * generator.uniform(0.014, 0.022))),
-        Motion("turn", 0.05 * length, 0.50 * length, axis=(0.0, 0.0, 1.0), degrees=50.0 * size * turn),
-        Motion(
+        HoldMovement(
+            "shift", 0.02 * length, 0.35 * length, by=(0.0, 0.0, size * generator.uniform(0.014, 0.022))
+        ),
+        HoldMovement("turn", 0.05 * length, 0.50 * length, axis=(0.0, 0.0, 1.0), degrees=50.0 * size * turn),
+        HoldMovement(
             "shake", 0.30 * length, 0.85 * length, by=tuple(far * way), ramp=0.2 * length,
             frequency=float(generator.uniform(1.4, 2.0)) * USUAL / length,
         ),
-        Motion(
+        HoldMovement(
             "rock", 0.25 * length, 0.95 * length, axis=tuple(axis), ramp=0.2 * length,
             degrees=size * float(generator.uniform(4.0, 6.0)),
             frequency=float(generator.uniform(0.9, 1.3)) * USUAL / length,
@@ -80,7 +82,9 @@ def _directions(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray,
     return way, np.array([-way[1], way[0], 0.0]), float(generator.choice([-1.0, 1.0]))
 
 
-def _tremor(start: float, stop: float, generator: np.random.Generator) -> Motion:
+def _tremor(start: float, stop: float, generator: np.random.Generator) -> HoldMovement:
     by = 3e-4 * generator.standard_normal(3)
     ramp = 0.3 * (stop - start)
-    return Motion("shake", start, stop, by=tuple(by), frequency=float(generator.uniform(6.0, 8.0)), ramp=ramp)
+    return HoldMovement(
+        "shake", start, stop, by=tuple(by), frequency=float(generator.uniform(6.0, 8.0)), ramp=ramp
+    )

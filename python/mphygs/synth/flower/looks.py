@@ -6,8 +6,8 @@ import numpy as np
 
 from mphygs.baselines.prior import Examples, shown_of
 from mphygs.synth.flower.catalogue import SPECIES
-from mphygs.synth.flower.draw import Painter
-from mphygs.synth.flower.grow import grow
+from mphygs.synth.flower.drawing import Painter
+from mphygs.synth.flower.growth import grow
 
 # Flowers of each species, and points of each flower.
 SEEDS, POINTS = 4, 1200

@@ -12,11 +12,11 @@ import numpy as np
 from mphygs.capture.cameras import Camera
 from mphygs.capture.images import write_image
 from mphygs.capture.transforms import write_transforms
-from mphygs.synth.flower.draw import Painter
+from mphygs.synth.flower.drawing import Painter
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class PictureView:
     """One picture to draw. frame: of the sequence, None at rest; vertices: (V, 3) [m]."""
 
     camera: Camera
@@ -32,7 +32,7 @@ class Shown:
 def write_pictures(
     folder: Path,
     painter: Painter,
-    shown: Sequence[Shown],
+    shown: Sequence[PictureView],
     *,
     noise: float,
     seed: int,

@@ -10,7 +10,7 @@ import numpy as np
 
 from mphygs.capture.cameras import Camera
 from mphygs.capture.holds import Hold
-from mphygs.synth.flower.draw import SAMPLES, Painter
+from mphygs.synth.flower.drawing import SAMPLES, Painter
 from mphygs.synth.flower.raster import hits
 
 PIXEL_ERROR = 0.5  # standard deviation of where a person points to [px]

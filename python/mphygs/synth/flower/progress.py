@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mphygs.synth.flower.motion import SETTLING_ROUNDS, TrueMotion
-from mphygs.synth.flower.shoot import Shoot
+from mphygs.synth.flower.recording_settings import Shoot
+from mphygs.synth.flower.true_motion import SETTLING_ROUNDS, TrueMotion
 from mphygs.synth.recipe import Take
 
 # Seconds on one core: of a substep of one block, of a picture, of a pixel of it. Only their ratios matter.

@@ -13,7 +13,7 @@ STEM = RoundPaint(GREEN, GREEN)
 
 
 @dataclass(frozen=True)
-class Substance:
+class Tissue:
     """Young's modulus [Pa] and density [kg/m^3]; both vary with the seed."""
 
     youngs_modulus: float
@@ -29,7 +29,7 @@ class Whorl:
     count: int
     outline: Outline
     paint: BladePaint
-    substance: Substance
+    substance: Tissue
     columns: int = 4
     turn: float = 0.0
     vary: float = 0.08
@@ -68,9 +68,9 @@ class Species:
     flare: float = 0.005
     dome: float = 0.005
     poissons_ratio: float = 0.35
-    stem_substance: Substance = Substance(8e5, 420.0)
-    centre_substance: Substance = Substance(1.5e5, 350.0)
-    leaf_substance: Substance = Substance(3.5e5, 320.0)
+    stem_substance: Tissue = Tissue(8e5, 420.0)
+    centre_substance: Tissue = Tissue(1.5e5, 350.0)
+    leaf_substance: Tissue = Tissue(3.5e5, 320.0)
     leaf_paint: BladePaint = LEAF
     stem_paint: RoundPaint = STEM
 

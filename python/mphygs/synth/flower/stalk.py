@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mphygs.synth.flower.blade import Root
-from mphygs.synth.flower.surface import Surface, annulus, between_rings, cap
+from mphygs.synth.flower.textured_surface import Surface, annulus, between_rings, cap
 
 
 @dataclass(frozen=True, eq=False)
