@@ -111,30 +111,13 @@ TEST(Implicit, AStepHalfAsLongHasAQuarterOfTheError) {
     }
     const double size = distance(fine, std::vector<double>(fine.size(), 0.0));
     EXPECT_LT(distance(fine, explicit_limit), 1e-4 * size);
-    const double a = distance(end(80, true), fine), b = distance(end(160, true), fine), c = distance(end(320, true), fine); std::printf("%g %g %g %g\n", a/size,b/size,c/size, distance(fine, explicit_limit)/size);
+    const double a = distance(end(80, true), fine), b = distance(end(160, true), fine), c = distance(end(320, true), fine);
     EXPECT_LT(a, 0.3 * size);
     EXPECT_NEAR(a / b, 4.0, 0.8);
     EXPECT_NEAR(b / c, 4.0, 0.4);
 }
 
-TEST(Implicit, AnUndampedSwingKeepsItsEnergy) {
-    const int steps = 1000;
-    const Bar bar = swing({}, steps_of(steps, 1, 1e-3, true), 40);
-    const Trajectory<double> t = bar.model->simulate(bar.fields, bar.schedule);
-    // Of a small swing the mean kinetic energy is half of all.
-    double early = 0, late = 0, most_early = 0, most_late = 0;
-    for (std::size_t f = 1; f <= 400; ++f) {
-        const double a = kinetic(bar, t, f), b = kinetic(bar, t, static_cast<std::size_t>(steps) + 1 - f);
-        early += a;
-        late += b;
-        most_early = std::max(most_early, a);
-        most_late = std::max(most_late, b);
-    }
-    EXPECT_NEAR(most_late / most_early, 1.0, 0.02);
-    EXPECT_NEAR(late / early, 1.0, 0.02);
-}
-
-/// Total energy of a swing: work of the forces is told by two runs whose law is scaled, so the elastic energy is summed here.
+/// Kinetic and elastic energy at an output frame [J].
 double energy(const Bar& bar, const Trajectory<double>& t, std::size_t frame) {
     const Geometry& g = bar.model->geometry();
     const std::size_t nodes = bar.model->node_count();
@@ -162,7 +145,7 @@ double energy(const Bar& bar, const Trajectory<double>& t, std::size_t frame) {
 
 TEST(Implicit, OverAThousandStepsTheEnergyDriftsByLessThanAHundredThousandth) {
     const std::size_t steps = 1000;
-    const Bar bar = swing({}, steps_of(static_cast<int>(steps), 1, 5e-4, true), 40);
+    const Bar bar = swing({}, steps_of(static_cast<int>(steps), 1, 1e-3, true), 20);
     const Trajectory<double> t = bar.model->simulate(bar.fields, bar.schedule);
     const double first = energy(bar, t, 0);
     double drift = 0, away = 0;
@@ -170,8 +153,6 @@ TEST(Implicit, OverAThousandStepsTheEnergyDriftsByLessThanAHundredThousandth) {
         drift += (energy(bar, t, steps + 1 - f) - energy(bar, t, f)) / 100;
         away = std::max(away, std::abs(energy(bar, t, f) / first - 1));
     }
-    for (std::size_t f = 0; f <= steps; f += 50) { std::printf("%g ", energy(bar,t,f)/first-1); }
-    std::printf("away %g drift %g\n", away, drift/first);
     EXPECT_LT(std::abs(drift) / first, 1e-5);
     EXPECT_LT(away, 1e-3);
 }
@@ -196,7 +177,6 @@ TEST(Implicit, AHoldThatMovesLeavesNoAlternation) {
             alternation = std::max(alternation, std::abs(v(f - 2) - 4 * v(f - 1) + 6 * v(f) - 4 * v(f + 1) + v(f + 2)) / 16);
         }
     }
-    std::printf("alt %g\n", alternation / (far*swing_rate));
     EXPECT_LT(alternation, 1e-3 * far * swing_rate);
 }
 
@@ -259,7 +239,6 @@ TEST_P(ImplicitEffects, FollowTheExplicitRun) {
     }
     const double size = distance(limit, std::vector<double>(limit.size(), 0.0));
     const double coarse = distance(end(25, true), limit), fine = distance(end(50, true), limit);
-    std::printf("%s %g %g\n", Registry::infos[GetParam()]->name, coarse / size, fine / size);
     EXPECT_LT(fine, 5e-3 * size);
     // A hold that gives way carries at the end of a step what it gives, and what yields does so at its middle: of the first
     // order.

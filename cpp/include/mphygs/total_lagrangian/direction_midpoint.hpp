@@ -88,8 +88,8 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     u0_ = u_;
     v0_ = v_;
     history0_ = history_;
-    added0_ = added_;
     refresh(middle, dt);
+    added0_ = added_;
     Eigen::MatrixXd x = velocities();
     const std::size_t count = directions_.size();
     std::vector<Anderson> mixed(count, Anderson(m.matrix.weight(), 20));

@@ -117,7 +117,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         midpoint_map(x, n, frame, time, dt);
         const Eigen::VectorXd rest = by_node(v_) - x;
         bool good = rest.allFinite();
-        if (good && (m.stale || m.factors_dt != dt)) {
+        if (good && (m.stale || !m.factors_serve(dt))) {
             m.refresh(time + 0.5 * dt, dt);
             fresh = true;
         }

@@ -51,7 +51,7 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         }
         return run_.by_node(sum);
     };
-    if (m.factors_dt != dt) {
+    if (!m.factors_serve(dt)) {
         m.refresh(middle, dt);
     }
     if (trial_.of.empty()) {

@@ -1,6 +1,7 @@
 // What an implicit step keeps of a run: the state at its start and at its middle, the factors, the iteration.
 #pragma once
 
+#include <cmath>
 #include <limits>
 #include <memory>
 
@@ -45,6 +46,8 @@ struct MidpointState {
     double factors_dt = 0;                     // step that the factors belong to [s], 0: there are none
     bool stale = true;                         // whether the next step needs factors of its own
 
+    /// Whether the factors serve for a step: they lead to the solution of one that is nearly as long.
+    bool factors_serve(double dt) const { return std::abs(factors_dt - dt) < 0.05 * dt; }
     /// Factors of the matrix at the middle as it stands.
     void refresh(double time, double dt) {
         columns->fill(place, middle, history0, time, dt, matrix);
