@@ -28,24 +28,24 @@ from test_simulate_op import all_fields, scene
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
 
 FRAMES, FPS, SIGMA = 36, 60.0, 1e-4
-STIFF = 1e9
+STIFF = 5e8
 
 
 def stem(frames: int = FRAMES) -> Capture:
-    """A stem of 4 x 4 x 240 mm on a hold that is shaken across it."""
+    """A stem of 8 x 8 x 400 mm on a hold that is shaken across it."""
     times = np.arange(frames) / FPS
     motion = np.zeros((frames, 3))
     motion[:, 1] = 0.01 * np.sin(2 * np.pi * 3.0 * times) * np.minimum(times / 0.15, 1.0)
     shares = np.array([[s, a, b] for s in (0.25, 0.5, 0.75, 1.0) for a, b in ((0.5, 0.5), (1.0, 0.0))])
     return bar_capture(
-        lengths=(0.24,), side=0.004, held=0.008, frames=frames, fps=FPS, motion=motion,
-        known=Known(density={"part0": 800.0}, poissons_ratio=0.3), markers_at=shares * [0.24, 0.004, 0.004],
+        lengths=(0.4,), side=0.008, held=0.008, frames=frames, fps=FPS, motion=motion,
+        known=Known(density={"part0": 800.0}, poissons_ratio=0.3), markers_at=shares * [0.4, 0.008, 0.008],
         fit=(0, 24), sigma=SIGMA, gravity=np.zeros(3),
     )  # fmt: skip
 
 
 def settings(integrator: str, **more: object) -> Settings:
-    return Settings(0.012, workers=1, integrator=integrator, **more)
+    return Settings(0.008, workers=1, integrator=integrator, **more)
 
 
 def predicted(integrator: str, youngs_modulus: float, frames: int = FRAMES, **more: object) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_implicit_steps_follow_explicit_ones() -> None:
 
 def test_float32_is_as_exact_as_markers_ask_for() -> None:
     single, double = (predicted(IMPLICIT, STIFF, 20, dtype=t) for t in ("float32", "float64"))
-    assert np.abs(single - double).max() < 2e-6
+    assert np.abs(single - double).max() < 0.2 * SIGMA
 
 
 def test_slopes_are_those_of_differences() -> None:
@@ -132,7 +132,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     markers = Markers(seen, one.markers.at, SIGMA)
     recording = replace(one, markers=markers, predict=(24, FRAMES))
     save_capture(replace(capture, sequences=(recording,)), folder / "capture")
-    options = ("--out", folder / "run", "--integrator", "implicit", "--spacing", 0.012)
+    options = ("--out", folder / "run", "--integrator", "implicit", "--spacing", 0.008, "--preset", "stem")
     given = answer(fit, folder / "capture", *options)
     return {"folder": folder, "run": folder / "run", "answer": given}
 

@@ -126,7 +126,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         good = good && std::isfinite(size);
         const bool slow = !good || size > 0.9 * before;
         if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
-                     (slow && size <= Tolerance::loose * moves + Tolerance::noise_loose * spread))) {
+                     (slow && size <= Tolerance::loose * moves + (fresh ? 3 : 1) * Tolerance::noise_loose * spread))) {
             m.stale = m.stale || i > slow_step;
             m.impulse = lambda_rows_;
             return;

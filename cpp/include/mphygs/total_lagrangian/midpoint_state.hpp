@@ -28,7 +28,8 @@ struct MidpointTolerance {
     static constexpr double round_off = std::numeric_limits<T>::epsilon();
     static constexpr double tight = round_off > 1e-10 ? 1e-5 : 1e-11, loose = 100 * tight;
     static constexpr double linear = round_off > 1e-10 ? 1e-6 : 1e-12, linear_loose = 1000 * linear;
-    static constexpr double noise_loose = 100 * round_off;
+    // Of the nodes' distances: a slender body makes a deflection of what is rounded in its strains.
+    static constexpr double noise_loose = 1000 * round_off;
 };
 
 template <class T>
