@@ -121,14 +121,18 @@ class Predictor:
         return tuple(instrument_of(s, self.transfer, self.recording) for s in self.recording.sensors)
 
     # ---- models, substeps ---------------------------------------------------------------------
-    def model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
-        """The compiled model with core effects and effects at spots, (K, 3) [m]."""
-        return self.transfer.model(active, spots, law)
+    def model(
+        self, active: tuple[str, ...], spots: np.ndarray, law: str, *, implicit: bool = False
+    ) -> object:
+        """The compiled model with core effects and effects at spots, (K, 3) [m], for such steps."""
+        return self.transfer.model(active, spots, law, implicit=implicit)
 
     def model_of(self, belief: Belief) -> object:
         """The compiled model of a belief. Raises ValueError for an effect that the transfer cannot have."""
         check_effects(self.settings.transfer, belief.effects)
-        return self.model(core_effects(belief), places(belief), belief.law)
+        return self.model(
+            core_effects(belief), places(belief), belief.law, implicit=self.implicit(belief)
+        )
 
     def stable_substep(self, belief: Belief) -> float:
         """The longest substep of a run [s]: that of stability, of implicit ones a share of a frame."""
@@ -164,7 +168,8 @@ class Predictor:
         Symplectic Euler with damping c is stable while omega^2 dt^2 + 2 c dt < 4; omega and c are the
         largest rates of the linearised model, found by power iteration.
         """
-        model = self.model_of(belief)
+        check_effects(self.settings.transfer, belief.effects)
+        model = self.model(core_effects(belief), places(belief), belief.law)
         fields = primal(belief_of_sequence(belief, self.recording.name), self.body)
         active = list(core_effects(belief))
         fields["effect"] = _core.worst_case(fields["effect"], active)
@@ -308,8 +313,9 @@ class Predictor:
         changes: Sequence[dict] = (),
     ) -> object | None:
         """What the effects in Python add to a run, if there are any."""
+        number = np.float64 if self.settings.integrator == IMPLICIT else self.settings.number
         return forces_of(
-            belief, self.body, self.settings.number, fields["mass"], simulated=simulated, changes=changes
+            belief, self.body, number, fields["mass"], simulated=simulated, changes=changes
         )
 
     # ---- runs ---------------------------------------------------------------------------------
@@ -488,7 +494,8 @@ class Predictor:
         )  # fmt: skip
         imposed = self._imposed(belief, timeline) | pull
         # Models are made here, one after the other: caches are not shared between threads.
-        models = [self.model(batch.active, batch.spots, belief.law) for batch in batches]
+        implicit = self.implicit(belief)
+        models = [self.model(b.active, b.spots, belief.law, implicit=implicit) for b in batches]
         for model in models:
             self.transfer.share(model, max(1, workers // len(batches)))
 
