@@ -21,7 +21,7 @@ import tyro
 from mphygs.capture.format import Capture, Hold, Known, Markers, Part, Sequence
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
-from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.prediction import STEPS_A_FRAME, Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 from mphygs.simulate.settings import AUTO, EXPLICIT, IMPLICIT, Settings
 
@@ -90,7 +90,7 @@ def row(modulus: float, options: Options) -> str:
             taken.append(spent)
             error[name] = float(np.sqrt(np.mean((position - exact) ** 2)))
     median = {key: float(np.median(taken)) for key, taken in seconds.items()}
-    substeps = 1 / (4 * FPS) / both[EXPLICIT].stable_substep(belief)
+    substeps = 1 / (STEPS_A_FRAME * FPS) / both[EXPLICIT].stable_substep(belief)
     chosen = IMPLICIT if predictor(AUTO).implicit(belief) else EXPLICIT
     ratios = [median[EXPLICIT, g] / median[IMPLICIT, g] for g in (False, True)]
     return (
@@ -104,7 +104,7 @@ def main() -> int:
     """Print the table."""
     options = tyro.cli(Options, config=(tyro.conf.FlagCreatePairsOff,))
     heads = (
-        "E [Pa]", "explicit substeps in a quarter of a frame", "explicit [s]", "implicit [s]", "ratio",
+        "E [Pa]", "explicit substeps in an implicit step", "explicit [s]", "implicit [s]", "ratio",
         "explicit, with gradient [s]", "implicit, with gradient [s]", "ratio", "error, explicit [um]",
         "error, implicit [um]", "auto takes",
     )  # fmt: skip

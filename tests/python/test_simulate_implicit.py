@@ -101,7 +101,7 @@ def test_auto_takes_implicit_steps_where_the_object_is_stiff_only() -> None:
     predictor = Predictor(capture, capture.sequence("a"), settings(AUTO))
     soft, stiff = (bar_belief(capture, youngs_modulus=e, density=800.0) for e in (1e5, STIFF))
     assert not predictor.implicit(soft) and predictor.implicit(stiff)
-    assert predictor.stable_substep(stiff) == pytest.approx(1 / (4 * FPS))
+    assert predictor.stable_substep(stiff) == pytest.approx(1 / (prediction.STEPS_A_FRAME * FPS))
     explicit = Predictor(capture, capture.sequence("a"), settings(EXPLICIT))
     assert predictor.stable_substep(soft) == explicit.stable_substep(soft)
     few = [p.predict(soft, last=6).position for p in (predictor, explicit)]
@@ -119,10 +119,10 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     folder = tmp_path_factory.mktemp("stiff")
     capture = stem()
     belief = bar_belief(capture, youngs_modulus=STIFF, density=800.0)
-    # The truth in steps a sixteenth as long.
+    # The truth in steps a quarter as long.
     steps = prediction.STEPS_A_FRAME
     try:
-        prediction.STEPS_A_FRAME = 16 * steps
+        prediction.STEPS_A_FRAME = 4 * steps
         truth = Predictor(capture, capture.sequence("a"), settings(IMPLICIT)).predict(belief).position
     finally:
         prediction.STEPS_A_FRAME = steps
@@ -142,7 +142,7 @@ def test_fit_finds_the_modulus_of_a_stiff_stem(fitted: dict) -> None:
     found = given["parameters"]["part0.youngs_modulus"]
     assert found["value"] / STIFF == pytest.approx(1.0, abs=0.03)
     assert given["integrator"] == {"a": "implicit"}
-    assert given["substep"]["a"] == pytest.approx(1 / (4 * FPS))
+    assert given["substep"]["a"] == pytest.approx(1 / (prediction.STEPS_A_FRAME * FPS))
     assert json.loads((fitted["run"] / "run.json").read_text())["settings"]["integrator"] == "implicit"
 
 
@@ -150,7 +150,7 @@ def test_the_commands_go_on_with_implicit_steps(fitted: dict) -> None:
     before = fitted["answer"]["sequences"]["a"]["predict"]["rms"]
     assert before < 1.5 * SIGMA
     predicted_again = answer(predict, fitted["run"])["sequences"]["a"]
-    assert predicted_again["substeps"] == 4 * (FRAMES - 1)
+    assert predicted_again["substeps"] == prediction.STEPS_A_FRAME * (FRAMES - 1)
     compared = answer(compare, fitted["run"])["sequences"]["a"]
     assert compared["predict"]["rms"] == pytest.approx(before, rel=1e-3)
     assert answer(diagnose, fitted["run"], "--effects", "mass_damping")["ranking"]

@@ -41,8 +41,9 @@ from mphygs.simulate.user_effects import forces_of
 # Predictions that are kept, as many with derivatives as without: one fit ends where the next begins, or a
 # comparison, and whether a model can be simulated is asked before it is fitted.
 KEPT = 3
-# Of implicit steps: enough for markers, whose noise is far above the rest of a motion that frames can show.
-STEPS_A_FRAME = 4
+# Of implicit steps. A swing of a sixth of the frames a second falls behind by 0.1 % of its period then, one of a
+# quarter of a frame by 0.5 %: within a second markers show that.
+STEPS_A_FRAME = 8
 # Explicit substeps that an implicit step costs as much as, and more than that: see benchmarks/implicit.
 WORTH_AN_IMPLICIT_STEP = 250
 
