@@ -41,11 +41,11 @@ from mphygs.simulate.user_effects import forces_of
 # Predictions that are kept, as many with derivatives as without: one fit ends where the next begins, or a
 # comparison, and whether a model can be simulated is asked before it is fitted.
 KEPT = 3
-# Of implicit steps. A swing of a sixth of the frames a second falls behind by 0.1 % of its period then, one of a
-# quarter of a frame by 0.5 %: within a second markers show that.
+# Of implicit steps. A swing of a sixth of the frame rate falls behind by 0.1 % of its period then; in steps
+# twice as long by 0.5 %, which markers show.
 STEPS_A_FRAME = 8
-# Explicit substeps that an implicit step costs as much as, and more than that: see benchmarks/implicit.
-WORTH_AN_IMPLICIT_STEP = 250
+# Explicit substeps that cost as much as an implicit step, at most: see benchmarks/implicit.
+WORTH_AN_IMPLICIT_STEP = 160
 
 
 class Predictor:
