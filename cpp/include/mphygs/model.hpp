@@ -76,6 +76,7 @@ struct Schedule {
     double start = 0;           // time of the initial state [s]
     // (substeps, 2) what each counts for in the reactions at the frame before it and at the one after; none: none wanted
     std::vector<double> reaction_weight = {};
+    bool implicit = false;      // by the midpoint rule, as long a step as accuracy allows; only of the total-Lagrangian transfer
     int total_steps() const {
         int n = 0;
         for (int s : steps) {

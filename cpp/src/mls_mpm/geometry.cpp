@@ -104,6 +104,7 @@ void MlsMpm<T>::check(const Fields<T>& f, const Schedule& s, const Observer* obs
                 std::string(name) + " has " + std::to_string(v.size()) + " numbers, expected " + std::to_string(n));
     };
     const std::size_t count = particle_count(), frames = s.steps.size();
+    require(!s.implicit, "the implicit step is one of the total-Lagrangian transfer: expected an explicit schedule in MLS-MPM");
     require(s.dt.size() == frames, "the schedule needs one dt per interval");
     size(s.reaction_weight, 2 * static_cast<std::size_t>(s.total_steps()), true, "reaction_weight");
     if (!s.reaction_weight.empty()) {

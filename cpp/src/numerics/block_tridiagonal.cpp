@@ -140,6 +140,26 @@ Eigen::VectorXd BlockTridiagonal::solve(const Eigen::VectorXd& right) const {
     return result;
 }
 
+Eigen::MatrixXd BlockTridiagonal::solve_all(const Eigen::MatrixXd& right) const {
+    const std::size_t count = levels_.size();
+    std::vector<Eigen::MatrixXd> x(count);
+    for (std::size_t l = 0; l < count; ++l) {
+        x[l] = right(levels_[l], Eigen::all);
+        if (l > 0) {
+            x[l].noalias() -= lower_[l] * x[l - 1];
+        }
+        x[l] = diagonal_[l].solve(x[l]).eval();
+    }
+    for (std::size_t l = count - 1; l-- > 0;) {
+        x[l] -= diagonal_[l].solve((upper_[l] * x[l + 1]).eval());
+    }
+    Eigen::MatrixXd result(right.rows(), right.cols());
+    for (std::size_t l = 0; l < count; ++l) {
+        result(levels_[l], Eigen::all) = x[l];
+    }
+    return result;
+}
+
 Eigen::VectorXd BlockTridiagonal::solve_transposed(const Eigen::VectorXd& right) const {
     const std::size_t count = levels_.size();
     std::vector<Eigen::VectorXd> x(count);

@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 
 #include "mphygs/total_lagrangian/equilibrium_assembly.hpp"
+#include "mphygs/total_lagrangian/saddle_levels.hpp"
 
 namespace mphygs {
 
@@ -80,38 +80,8 @@ Equilibrium::Equilibrium(std::shared_ptr<const TotalLagrangian<double>> model) :
         }
     }
     unknown_ = Eigen::VectorXd::Zero(n);
-    // The hold's rows and the nodes that they hold come first, a joint's rows and nodes together: their
-    // block needs the pivoting.
-    std::vector<int> start;
-    std::vector<bool> tied(3 * model_->node_count(), false);
-    std::map<std::int32_t, std::vector<int>> joints;
-    for (std::size_t r = 0; r < g.row_count(); ++r) {
-        const bool joint = g.row_hold[r] < 0;
-        std::vector<int>& rows = joint ? joints[g.row_hold[r]] : start;
-        for (int c = 0; c < 3; ++c) {
-            rows.push_back(first_row + 3 * static_cast<int>(r) + c);
-        }
-        for (int w = g.row_begin[r]; w < g.row_begin[r + 1]; ++w) {
-            for (int c = 0; c < 3; ++c) {
-                const int node = 3 * a.constraint_node()[static_cast<std::size_t>(w)] + c;
-                if (joint) {
-                    rows.push_back(node);
-                } else {
-                    tied[static_cast<std::size_t>(node)] = true;
-                }
-            }
-        }
-    }
-    std::vector<std::vector<int>> together;
-    for (auto& [joint, unknowns] : joints) {
-        together.push_back(std::move(unknowns));
-    }
-    for (int i = 0; i < first_row; ++i) {
-        if (tied[static_cast<std::size_t>(i)]) {
-            start.push_back(i);
-        }
-    }
-    solver_.analyse(matrix_, start, together);
+    const SaddleLevels levels(g, a.constraint_node(), model_->node_count());
+    solver_.analyse(matrix_, levels.start, levels.together);
 }
 
 void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::VectorXd& residual) {

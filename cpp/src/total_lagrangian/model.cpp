@@ -2,7 +2,7 @@
 #include <cmath>
 #include <sstream>
 
-#include "mphygs/total_lagrangian/reverse.hpp"
+#include "mphygs/total_lagrangian/midpoint_reverse.hpp"
 #include "mphygs/total_lagrangian/rollout.hpp"
 
 namespace mphygs {

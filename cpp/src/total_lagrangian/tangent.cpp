@@ -2,6 +2,7 @@
 #include "mphygs/total_lagrangian/direction_forces.hpp"
 #include "mphygs/total_lagrangian/direction_inputs.hpp"
 #include "mphygs/total_lagrangian/direction_loads.hpp"
+#include "mphygs/total_lagrangian/direction_midpoint.hpp"
 #include "mphygs/total_lagrangian/rollout.hpp"
 
 namespace mphygs {
@@ -67,7 +68,7 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
             some.push_back(&directions[k]);
             theirs.push_back(added.empty() ? nullptr : &added[k]);
         }
-        const bool alone = wanted == 1 && (added.empty() || added[done].active.empty());
+        const bool alone = wanted == 1 && !schedule.implicit && (added.empty() || added[done].active.empty());
         // A single direction is quicker beside the values, point after point.
         const auto single = [&] {
             auto trajectories = room<T>(2, numbers);
@@ -118,7 +119,13 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
     return result;
 }
 
+template <class T>
+std::unique_ptr<MidpointColumns<T>> TotalLagrangian<T>::midpoint_columns(const Fields<T>& fields, const Schedule& schedule, Team& team) const {
+    return std::make_unique<DirectionColumns<T, register_lanes<T>>>(*this, fields, schedule, team);
+}
+
 #define MPHYGS_INSTANTIATE(T)                                                                                             \
+    template std::unique_ptr<MidpointColumns<T>> TotalLagrangian<T>::midpoint_columns(const Fields<T>&, const Schedule&, Team&) const; \
     template std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>&, const std::vector<Fields<T>>&,      \
                                                                     const Schedule&, const Progress&, const PointHook<T>*, \
                                                                     const std::vector<Added<T>>&, const Observer*) const;

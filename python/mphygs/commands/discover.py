@@ -69,6 +69,8 @@ class DiscoverOptions(CommonOptions):
     """Frames to fit, i to j - 1, instead of those that the capture states."""
     transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
     """How particles and grid exchange momentum."""
+    integrator: Literal["explicit", "implicit", "auto"] = "explicit"
+    """Steps in time, as of fit."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
     """Grid spacing [m]; default: 1.7 times that of fit, for many models are tried."""
     stages: Path | None = None

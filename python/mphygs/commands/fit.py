@@ -196,7 +196,11 @@ def _new(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     if stages is None and (options.without or options.stages):
         name = "--without" if options.without else "--stages"
         raise OptionError(f"{name}: {path} has markers; expected a capture in pictures")
-    settings = Settings(spacing=options.spacing or default_spacing(capture), transfer=options.transfer)
+    settings = Settings(
+        spacing=options.spacing or default_spacing(capture),
+        transfer=options.transfer,
+        integrator=options.integrator,
+    )
     wanted = split_names(options.sequences)
     belief = starting_belief(capture, prestress=options.prestress, law=options.law, preset=options.preset)
     if stages is not None:

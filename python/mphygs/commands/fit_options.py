@@ -16,7 +16,7 @@ from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS
 from mphygs.model.registry import USUAL_LAW, effects, laws
 from mphygs.model.substances import SUBSTANCES
-from mphygs.simulate.settings import check_effects
+from mphygs.simulate.settings import check_effects, check_integrator
 
 Law = Literal[laws()]
 Preset = Literal[tuple(s.name for s in SUBSTANCES)]
@@ -41,6 +41,9 @@ class FitOptions(CommonOptions):
     windows in mid-motion, each from the state that the markers give, by Adam on the adjoint."""
     transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
     """How particles and grid exchange momentum."""
+    integrator: Literal["explicit", "implicit", "auto"] = "explicit"
+    """Steps in time: explicit, as short as stability asks for; implicit, an eighth of a frame, for what is
+    stiff; auto, whichever cost less at the stiffness that the fit is at. Implicit not with --transfer mls."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
     """Grid spacing [m]; default: from the object's volume."""
     prestress: Literal["off", "paper", "equilibrium"] | None = None
@@ -104,6 +107,7 @@ def check_options(options: FitOptions) -> None:
     if options.baseline is not None:
         _check_baseline(options)
     check_effects(options.transfer, split_names(options.effects))
+    check_integrator(options.transfer, options.integrator)
 
 
 def _check_baseline(options: FitOptions) -> None:
@@ -111,7 +115,7 @@ def _check_baseline(options: FitOptions) -> None:
     default = FitOptions()
     own = ("without", "effects", "schedule", "optimiser")
     if options.baseline != HOMOGENEOUS:
-        own += ("transfer", "law", "feedback", "intervals")
+        own += ("transfer", "integrator", "law", "feedback", "intervals")
     for key in own:
         if getattr(options, key) != getattr(default, key):
             raise OptionError(f"--baseline {options.baseline}: not with --{key}; expected it without")

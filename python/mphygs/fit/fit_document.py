@@ -18,6 +18,7 @@ from mphygs.fit.run import Run
 from mphygs.fit.sensitivity import WHY, sensitivity_lines
 from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, text_table
 from mphygs.model.substances import like
+from mphygs.simulate.settings import EXPLICIT, IMPLICIT
 
 
 def fit_document(
@@ -61,6 +62,9 @@ def fit_document(
         "substep": substep,
         "spacing": spacing,
         "transfer": state.transfer,
+        "integrator": {
+            name: IMPLICIT if p.implicit(state.belief) else EXPLICIT for name, p in predictors.items()
+        },
         "noise": noise_document(experiment.observations),
         "sequences": {
             name: {label: ranges[label] for label in ("fit", "predict")} for name, ranges in errors.items()
@@ -96,7 +100,11 @@ def fit_text(state: Run, capture: Capture, *, embedded: bool) -> str:
     if state.stages is not None:
         lines[-1:] = ["", text_table(image_table(answer["sequences"])), ""]
         lines[1:1] = _boundary_lines(capture)
-    steps = ", ".join(f"{1e6 * dt:.0f} us on {name}" for name, dt in answer["substep"].items())
+    kinds = answer.get("integrator", {})
+    steps = ", ".join(
+        f"{1e6 * dt:.0f} us{', implicit,' if kinds.get(name) == IMPLICIT else ''} on {name}"
+        for name, dt in answer["substep"].items()
+    )
     lines.append(
         f"{answer['seconds']:.1f} s; {answer['substeps']} substeps in one pass over these frames ({steps})"
     )

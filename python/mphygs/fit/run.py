@@ -129,6 +129,7 @@ class Run:
                 "safety": self.settings.safety,
                 "dtype": self.settings.dtype,
                 "memory_budget": self.settings.memory_budget,
+                "integrator": self.settings.integrator,
             },
             "ranges": {name: list(frames) for name, frames in self.ranges.items()},
             "start": document_of_belief(self.start),

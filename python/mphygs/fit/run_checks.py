@@ -7,7 +7,7 @@ import numpy as np
 from mphygs.capture.document import Entry
 from mphygs.model.belief import PRESTRESS_MODES
 from mphygs.model.registry import effects, laws
-from mphygs.simulate.settings import TRANSFERS
+from mphygs.simulate.settings import INTEGRATORS, TRANSFERS
 
 # Of materials, far beyond what any fit finds: outside, a simulation ends nowhere.
 _MATERIALS = {"youngs_modulus": (1.0, 1e12), "density": (0.1, 1e5), "poissons_ratio": (-1e-9, 0.4999)}
@@ -149,7 +149,9 @@ def _check_term(settings: Entry, parts: list[str]) -> None:
 
 
 def _check_settings(entry: Entry) -> None:
-    entry.check_keys(required=("spacing", "safety", "dtype", "memory_budget"))
+    entry.check_keys(required=("spacing", "safety", "dtype", "memory_budget"), optional=("integrator",))
+    if entry.get("integrator"):
+        entry["integrator"].choice(INTEGRATORS)
     if not 0.0 < entry["spacing"].number():
         raise entry["spacing"].wrong("a length above zero [m]")
     if not 0.0 < entry["safety"].number() <= 1.0:

@@ -40,8 +40,8 @@ class MaterialPoints(Transfer):
     def grid_body(self) -> Body:
         return self.body.grid
 
-    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
-        kind = _core.MlsMpmFloat32 if self.settings.number == np.float32 else _core.MlsMpmFloat64
+    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str, number: type) -> object:
+        kind = _core.MlsMpmFloat32 if number == np.float32 else _core.MlsMpmFloat64
         points = self.body.geometry["points"]
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         geometry = self.body.geometry | self._actuation

@@ -32,7 +32,7 @@ from mphygs.simulate.predicted import Prediction, Started, readings_of
 from mphygs.simulate.prestress import RestShape
 from mphygs.simulate.reactions import reaction_weights
 from mphygs.simulate.scope import belief_of_sequence, in_scope, is_absent, stated_weights
-from mphygs.simulate.settings import MLS, TRANSFERS, Settings, check_effects
+from mphygs.simulate.settings import AUTO, IMPLICIT, MLS, TRANSFERS, Settings, check_effects, check_integrator
 from mphygs.simulate.timeline import Timeline, poses_of, timeline_of
 from mphygs.simulate.total_lagrangian import TotalLagrangian
 from mphygs.simulate.transfer import Start, Transfer
@@ -41,6 +41,11 @@ from mphygs.simulate.user_effects import forces_of
 # Predictions that are kept, as many with derivatives as without: one fit ends where the next begins, or a
 # comparison, and whether a model can be simulated is asked before it is fitted.
 KEPT = 3
+# Of implicit steps. A swing of a sixth of the frame rate falls behind by 0.1 % of its period then; in steps
+# twice as long by 0.5 %, which markers show.
+STEPS_A_FRAME = 8
+# Explicit substeps that cost as much as an implicit step, at most: see benchmarks/implicit.
+WORTH_AN_IMPLICIT_STEP = 160
 
 
 class Predictor:
@@ -56,6 +61,7 @@ class Predictor:
         self.workers = max(1, settings.workers)
         if settings.transfer not in TRANSFERS:
             raise ValueError(f"transfer '{settings.transfer}': expected one of {', '.join(TRANSFERS)}")
+        check_integrator(settings.transfer, settings.integrator)
         particles = settings.transfer == MLS
         make = discretise_particles if particles else discretise
         body = body or make(capture, hold_boxes(recording), settings.spacing)
@@ -70,6 +76,7 @@ class Predictor:
         self._pull: Feedback | None = None
         self._pulls: dict[float, Feedback] = {}
         self._halt: Event | None = None
+        self._stable: tuple[Belief, float] | None = None
         self._start = MeasuredStart(capture, recording, self.transfer)
         self.actuation = Actuation(recording, self.transfer)
         if self.actuation.core is not None:
@@ -115,22 +122,55 @@ class Predictor:
         return tuple(instrument_of(s, self.transfer, self.recording) for s in self.recording.sensors)
 
     # ---- models, substeps ---------------------------------------------------------------------
-    def model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
-        """The compiled model with core effects and effects at spots, (K, 3) [m]."""
-        return self.transfer.model(active, spots, law)
+    def model(
+        self, active: tuple[str, ...], spots: np.ndarray, law: str, *, implicit: bool = False
+    ) -> object:
+        """The compiled model with core effects and effects at spots, (K, 3) [m], for such steps."""
+        return self.transfer.model(active, spots, law, implicit=implicit)
 
     def model_of(self, belief: Belief) -> object:
         """The compiled model of a belief. Raises ValueError for an effect that the transfer cannot have."""
         check_effects(self.settings.transfer, belief.effects)
-        return self.model(core_effects(belief), places(belief), belief.law)
+        return self.model(
+            core_effects(belief), places(belief), belief.law, implicit=self.implicit(belief)
+        )
 
     def stable_substep(self, belief: Belief) -> float:
+        """The longest substep of a run [s]: that of stability, of implicit ones a share of a frame."""
+        return self._implicit_step if self.implicit(belief) else self._explicit_substep(belief)
+
+    def implicit(self, belief: Belief) -> bool:
+        """Whether a run takes implicit steps: where the settings say so, or it costs less by far.
+
+        Both are counted in evaluations of the forces, so that the choice is the same on every machine.
+        """
+        if self.settings.integrator != AUTO:
+            return self.settings.integrator == IMPLICIT
+        if self.settings.transfer == MLS:
+            return False
+        return WORTH_AN_IMPLICIT_STEP * self._explicit_substep(belief) < self._implicit_step
+
+    @property
+    def _implicit_step(self) -> float:
+        return 1.0 / (STEPS_A_FRAME * self.recording.fps)
+
+    def _explicit_substep(self, belief: Belief) -> float:
+        if self.settings.integrator != AUTO:
+            return self._cfl_substep(belief)
+        # Asked for twice of every belief.
+        known = self._stable
+        if known is None or known[0] is not belief:
+            known = self._stable = belief, self._cfl_substep(belief)
+        return known[1]
+
+    def _cfl_substep(self, belief: Belief) -> float:
         """Substep from the CFL condition, elastic and viscous [s].
 
         Symplectic Euler with damping c is stable while omega^2 dt^2 + 2 c dt < 4; omega and c are the
         largest rates of the linearised model, found by power iteration.
         """
-        model = self.model_of(belief)
+        check_effects(self.settings.transfer, belief.effects)
+        model = self.model(core_effects(belief), places(belief), belief.law)
         fields = core_inputs(belief_of_sequence(belief, self.recording.name), self.body)
         active = list(core_effects(belief))
         fields["effect"] = _core.worst_case(fields["effect"], active)
@@ -160,6 +200,7 @@ class Predictor:
             release_shift=self.release_shift(belief),
             late=lateness(belief),
             first=start.frame if start is not None else 0 if measured_start else None,
+            implicit=self.implicit(belief),
         )
 
     def schedule(self, timeline: Timeline) -> dict:
@@ -273,8 +314,9 @@ class Predictor:
         changes: Sequence[dict] = (),
     ) -> object | None:
         """What the effects in Python add to a run, if there are any."""
+        number = np.float64 if self.settings.integrator == IMPLICIT else self.settings.number
         return forces_of(
-            belief, self.body, self.settings.number, fields["mass"], simulated=simulated, changes=changes
+            belief, self.body, number, fields["mass"], simulated=simulated, changes=changes
         )
 
     # ---- runs ---------------------------------------------------------------------------------
@@ -455,7 +497,8 @@ class Predictor:
         )  # fmt: skip
         imposed = self._imposed(belief, timeline) | pull
         # Models are made here, one after the other: caches are not shared between threads.
-        models = [self.model(batch.active, batch.spots, belief.law) for batch in batches]
+        implicit = self.implicit(belief)
+        models = [self.model(b.active, b.spots, belief.law, implicit=implicit) for b in batches]
         for model in models:
             self.transfer.share(model, max(1, workers // len(batches)))
 

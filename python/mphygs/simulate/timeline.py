@@ -64,11 +64,12 @@ def timeline_of(
     release_shift: float = 0.0,
     late: float = 0.0,
     first: int | None = None,
+    implicit: bool = False,
 ) -> Timeline:
     """Frames 0..last-1 and the substeps between them; motion starts at the release.
 
     substep: longest [s]; late: how much later than stated every frame was taken [s]; first: a frame in
-    mid-motion to begin at instead, whose state is given.
+    mid-motion to begin at instead, whose state is given; implicit: whether the substeps are implicit.
     Raises SimulationError where too many substeps, or none, cover the frames: a model stiff without bound.
     """
     fps, release = recording.fps, recording.release
@@ -93,6 +94,8 @@ def timeline_of(
         )
     steps = np.maximum(np.ceil(spans / substep - 1e-9), 1).astype(np.int32)
     schedule = {"steps": steps, "dt": spans / np.maximum(steps, 1), "start": start}
+    if implicit:
+        schedule["implicit"] = True
     return Timeline(frames, clock, moving, schedule, times, resting, skipped)
 
 

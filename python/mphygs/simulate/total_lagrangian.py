@@ -33,12 +33,12 @@ class TotalLagrangian(Transfer):
     def grid_body(self) -> Body:
         return self.body
 
-    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object:
+    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str, number: type) -> object:
         body = with_places(self.body, spots)
         return core_model(
             replace(body, geometry=body.geometry | self._actuation) if self._actuation else body,
             active=active,
-            dtype=self.settings.number,
+            dtype=number,
             law=law,
             threads=1,
             memory_budget=self.settings.memory_budget,

@@ -64,11 +64,13 @@ class Transfer(ABC):
         """Drop what the rest shape remembers of its last solution."""
         self.rest_shape = RestShape(self.grid_body)
 
-    def model(self, active: Sequence[str], spots: np.ndarray, law: str) -> object:
-        """The compiled model with core effects `active` and effects at `spots` (K, 3) [m], kept."""
-        key = (tuple(sorted(set(active))), spots.tobytes(), law)
+    def model(self, active: Sequence[str], spots: np.ndarray, law: str, *, implicit: bool = False) -> object:
+        """The compiled model with core effects `active` and effects at `spots` (K, 3) [m], kept; for implicit
+        steps one of the precision that they need."""
+        number = np.float64 if implicit else self.settings.number
+        key = (tuple(sorted(set(active))), spots.tobytes(), law, number)
         if key not in self._models:
-            self._models[key] = self._new_model(key[0], spots, law)
+            self._models[key] = self._new_model(key[0], spots, law, number)
         return self._models[key]
 
     @property
@@ -77,7 +79,7 @@ class Transfer(ABC):
         """The total-Lagrangian discretisation, on which rest shapes are solved for."""
 
     @abstractmethod
-    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str) -> object: ...
+    def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str, number: type) -> object: ...
 
     @abstractmethod
     def largest_rates(self, model: object, fields: Arrays, hook: object | None) -> tuple[float, float]:

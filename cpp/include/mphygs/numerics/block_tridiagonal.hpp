@@ -24,6 +24,8 @@ class BlockTridiagonal {
     bool factorise(const Eigen::SparseMatrix<double>& matrix);
     Eigen::VectorXd solve(const Eigen::VectorXd& right) const;
     Eigen::VectorXd solve_transposed(const Eigen::VectorXd& right) const;
+    /// Of several right-hand sides, one a column: the factors are read once.
+    Eigen::MatrixXd solve_all(const Eigen::MatrixXd& right) const;
     bool analysed() const { return !levels_.empty(); }
 
   private:

@@ -73,8 +73,9 @@ struct Observer {
 /// Where a substep stands in its output interval: powers of the share s, and their derivatives by time [1/s].
 struct TargetBasis {
     double value[4], rate[4];
-    TargetBasis(int step, int steps, double dt) {
-        const double s = static_cast<double>(step) / steps, span = steps * dt;
+    /// within: how much of the substep is over.
+    TargetBasis(int step, int steps, double dt, double within = 0.0) {
+        const double s = (static_cast<double>(step) + within) / steps, span = steps * dt;
         value[0] = 1;
         rate[0] = 0;
         for (int k = 1; k < 4; ++k) {

@@ -158,7 +158,7 @@ inline void TotalLagrangianDirections<T, L>::hook_forces(double time, double dt)
 
 /// The values' hold, linearised: dv = dv* - d(M^-1) C^T lambda - M^-1 C^T d lambda.
 template <class T, int L>
-inline void TotalLagrangianDirections<T, L>::hold(int n, int frame, double dt) {
+inline void TotalLagrangianDirections<T, L>::hold(int n, int frame, double dt, bool aimed, bool reacting) {
     constexpr int N = 3 * static_cast<int>(width);  // columns: component, direction
     const Constraint& constraint = value_.constraint_[0];
     const Geometry& g = model_.geometry_;
@@ -166,7 +166,8 @@ inline void TotalLagrangianDirections<T, L>::hold(int n, int frame, double dt) {
     if (rows == 0) {
         return;
     }
-    const double softness = static_cast<double>(value_.compliance_) / (dt * dt), rate = 1.0 / dt;
+    const double give = aimed ? value_.impulses() : 0.0, rate = 1.0 / dt;
+    const double softness = value_.softness(dt, aimed);
     const std::vector<double>& lambda = value_.lambda_rows_;
     if (!inverse_mass_.empty()) {
         reaction_.assign(rows * 4, 0.0);
@@ -200,9 +201,9 @@ inline void TotalLagrangianDirections<T, L>::hold(int n, int frame, double dt) {
             }
         }
         constraint.template apply<N>(held_.data(), missed_.data());
-        for (std::size_t l = 0; l < width && s * width + l < directions_.size(); ++l) {
+        for (std::size_t l = 0; aimed && l < width && s * width + l < directions_.size(); ++l) {
             const Fields<T>& direction = *directions_[s * width + l];
-            const double softer = static_cast<double>(compliance(s, l)) / (dt * dt);
+            const double softer = give * static_cast<double>(compliance(s, l)) / (dt * dt);
             for (std::size_t c = 0; c < 3 && (softer != 0.0 || !direction.pose.empty()); ++c) {
                 constraint.sum_per_hold(&lambda[c * rows], sums.data());
                 for (std::size_t r = 0; r < rows; ++r) {
@@ -223,7 +224,7 @@ inline void TotalLagrangianDirections<T, L>::hold(int n, int frame, double dt) {
             }
         }
         constraint.template solve<N>(missed_.data(), softness, impulse_.data());
-        if (sums_.wanted()) {
+        if (reacting && sums_.wanted()) {
             react(n, frame, s);
         }
         constraint.template transposed<N>(impulse_.data(), held_.data());
@@ -247,12 +248,15 @@ inline void TotalLagrangianDirections<T, L>::react(int n, int frame, std::size_t
     const std::size_t rows = model_.geometry_.row_count(), holds = static_cast<std::size_t>(model_.geometry_.hold_count);
     const std::size_t poses = static_cast<std::size_t>(schedule_.total_steps()) + 1;
     const std::vector<double> turn = value_.turns(0, n);
-    std::vector<double> own(3 * rows), turned(turn.size());
+    std::vector<double> own(3 * rows), turned(turn.size()), of_values = value_.lambda_rows_;
+    for (double& x : of_values) {
+        x *= value_.impulses();
+    }
     for (std::size_t l = 0; l < width && slab * width + l < directions_.size(); ++l) {
         const std::size_t k = slab * width + l;
         for (std::size_t c = 0; c < 3; ++c) {
             for (std::size_t r = 0; r < rows; ++r) {
-                own[c * rows + r] = impulse_[r * N + c * width + l];
+                own[c * rows + r] = value_.impulses() * impulse_[r * N + c * width + l];
             }
         }
         sums_.add(k, n, frame, own.data(), turn.data());
@@ -263,7 +267,7 @@ inline void TotalLagrangianDirections<T, L>::react(int n, int frame, std::size_t
             }
         }
         if (!pose.empty()) {
-            sums_.add(k, n, frame, value_.lambda_rows_.data(), turned.data(), false);
+            sums_.add(k, n, frame, of_values.data(), turned.data(), false);
         }
     }
 }

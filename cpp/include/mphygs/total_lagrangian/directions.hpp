@@ -66,6 +66,10 @@ class TotalLagrangianDirections {
 
     /// Substep `n` of the whole run, in output interval `frame`.
     void step(int n, int frame, double time, double dt) {
+        if (schedule_.implicit) {
+            midpoint_step(n, frame, time, dt);
+            return;
+        }
         refresh(time, dt);
         team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
         reduce_forces();
@@ -92,6 +96,9 @@ class TotalLagrangianDirections {
     }
 
     const TotalLagrangianRun<T, 0>& value() const { return value_; }
+    /// See `MidpointColumns`.
+    void columns(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time,
+                 double dt, MidpointMatrix& to);
 
     bool finite() const {
         const T* numbers[2] = {reinterpret_cast<const T*>(u_.data()), reinterpret_cast<const T*>(v_.data())};
@@ -152,8 +159,9 @@ class TotalLagrangianDirections {
         Inputs<T, 0> inputs;
         inputs.primal = &fields;
         if (hook_) {
-            // The hook is asked once a substep, for the values and all directions.
-            of_values_.forward = [this](const PointState<T>&) { return given_; };
+            // The hook is asked once a substep, for the values and all directions; the middle of an implicit step is found by
+            // the values alone.
+            of_values_.forward = [this](const PointState<T>& state) { return schedule_.implicit ? hook_->forward(state) : given_; };
             inputs.hook = &of_values_;
         }
         inputs.observer = observer_;
@@ -402,7 +410,14 @@ class TotalLagrangianDirections {
         }
     }
 
-    void hold(int n, int frame, double dt);
+    /// aimed: as in the values' run; reacting: whether it counts in the reactions.
+    void hold(int n, int frame, double dt, bool aimed = true, bool reacting = true);
+    // See `direction_midpoint.hpp`. Changes of the velocity are (3 N, directions) there.
+    void midpoint_step(int n, int frame, double time, double dt);
+    void midpoint_map(const Eigen::MatrixXd& x, int n, int frame, double middle, double dt, bool last);
+    void enter(const Eigen::MatrixXd& x);
+    Eigen::MatrixXd velocities() const;
+    void still_without_mass();
     /// Adds what the holds exert in a substep to the reactions, in the directions of a slab.
     void react(int n, int frame, std::size_t slab);
 
@@ -435,6 +450,7 @@ class TotalLagrangianDirections {
     ReactionSums sums_;
     bool rate_ = false, surface_ = false, volume_added_ = false;
     std::vector<W> u_, v_, f_;                          // slab, node, component
+    std::vector<W> u0_, v0_, history0_;                 // at the start of an implicit step
     int aimed_ = -1;                                    // output interval whose targets are in aims_
     std::vector<W> aims_;                               // slab, channel, power, component; empty where no direction has any
     std::vector<W> blend_;                              // stiffness u + damping v of what channels read, (carriers, 3)
@@ -447,7 +463,7 @@ class TotalLagrangianDirections {
     std::vector<W> history_;           // slab, point, number
     std::vector<W> spring_stiffness_;  // slab, spring [N/m]
     std::vector<W> inverse_mass_;      // slab, node; empty where no direction has a mass
-    std::vector<Direction> added_;
+    std::vector<Direction> added_, added0_;  // and as they are at the start of an implicit step
     std::vector<std::vector<W>> chunk_force_;
     std::vector<std::vector<T>> chunk_added_;  // of each chunk: direction with added effects, component, node
     int frame_ = -1;

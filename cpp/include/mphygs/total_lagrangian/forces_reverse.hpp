@@ -1,6 +1,8 @@
 // Adjoint of the forces of one substep of the total-Lagrangian run, and the sums that all substeps add to.
 #pragma once
 
+#include <array>
+
 #include "mphygs/total_lagrangian/holds.hpp"
 #include "mphygs/total_lagrangian/hook.hpp"
 
@@ -38,7 +40,36 @@ class TotalLagrangianForcesReverse {
         }
     }
 
+    /// Sums over all substeps of the bars of the inputs.
+    struct Sums {
+        std::vector<std::vector<double>> of;
+        std::vector<T> node_force;
+        double gravity[3] = {0, 0, 0}, compliance = 0;
+    };
+
   protected:
+    std::array<std::vector<double>*, 11> own_sums() {
+        return {&mu_bar_, &lambda_bar_, &volume_bar_, &mass_bar_, &deformation0_bar_, &inverse_mass_bar_, &parameter_bar_,
+                &place_effect_bar_, &pose_bar_, &target_bar_, &channel_bar_};
+    }
+    Sums sums_like_own() {
+        Sums sums;
+        for (const std::vector<double>* own : own_sums()) {
+            sums.of.emplace_back(own->size(), 0.0);
+        }
+        sums.node_force.assign(node_force_bar_.size(), T{});
+        return sums;
+    }
+    void swap_sums(Sums& other) {
+        const auto own = own_sums();
+        for (std::size_t i = 0; i < own.size(); ++i) {
+            std::swap(*own[i], other.of[i]);
+        }
+        std::swap(node_force_bar_, other.node_force);
+        std::swap(gravity_bar_, other.gravity);
+        std::swap(compliance_bar_, other.compliance);
+    }
+
     static Inputs<T, 0> inputs_of(const Fields<T>& fields, const PointHook<T>* hook, const Observer* observer) {
         Inputs<T, 0> inputs;
         inputs.primal = &fields;
@@ -392,6 +423,9 @@ class TotalLagrangianForcesReverse {
     // Sums over thousands of substeps are kept in double.
     std::vector<double> mu_bar_, lambda_bar_, volume_bar_, mass_bar_, deformation0_bar_, inverse_mass_bar_, parameter_bar_,
         place_effect_bar_, pose_bar_, target_bar_, channel_bar_;
+    // What the hook was asked in this step already, and answered: it adds up itself what concerns its parameters.
+    PointForces<T> hook_told_;
+    PointState<T> hook_answer_;
     double gravity_bar_[3] = {0, 0, 0};
     double compliance_bar_ = 0;
 };

@@ -7,12 +7,13 @@ namespace mphygs {
 
 template <class T, int K>
 template <int First, int Count>
-inline void TotalLagrangianRun<T, K>::hold_lanes(int n, double dt) {
+inline void TotalLagrangianRun<T, K>::hold_lanes(int n, double dt, bool aimed) {
     constexpr int N = Count == 1 ? 4 : 3 * Count;  // columns: lane, component; a whole pack of them
     const Constraint& constraint = constraint_[0];
     const Geometry& g = model_.geometry_;
     const std::size_t rows = constraint.row_count(), nodes = constraint.nodes().size();
-    const double softness = static_cast<double>(lane_of(compliance_, 0)) / (dt * dt), rate = 1.0 / dt;
+    const double give = aimed ? impulses() : 0.0, rate = 1.0 / dt;
+    const double softness = this->softness(dt, aimed);
     held_.assign(nodes * N, 0.0);
     missed_.assign(rows * N, 0.0);
     impulse_.assign(rows * N, 0.0);
@@ -36,7 +37,10 @@ inline void TotalLagrangianRun<T, K>::hold_lanes(int n, double dt) {
     for (int l = First; l < First + Count; ++l) {
         for (std::size_t c = 0; c < 3; ++c) {
             const std::size_t column = static_cast<std::size_t>(l - First) * 3 + c;
-            const double softer = l > 0 ? static_cast<double>(lane_of(compliance_, l)) / (dt * dt) : 0.0;
+            if (!aimed) {
+                continue;
+            }
+            const double softer = l > 0 ? give * static_cast<double>(lane_of(compliance_, l)) / (dt * dt) : 0.0;
             if (softer != 0.0) {
                 constraint.sum_per_hold(&lambda_rows_[c * rows], sums.data());
             }

@@ -38,10 +38,31 @@ inline void TotalLagrangianForcesReverse<T>::reverse_hook(double time, double dt
             }
         }
     }
-    const PointState<T> state_bar = run_.inputs_.hook->reverse(state, bar);
+    const PointForces<T> whole = bar;
+    if (run_.schedule_.implicit) {
+        for (std::size_t i = 0; i < hook_told_.force.size(); ++i) {
+            bar.force[i] -= hook_told_.force[i];
+        }
+        for (std::size_t i = 0; i < hook_told_.stress.size(); ++i) {
+            bar.stress[i] -= hook_told_.stress[i];
+        }
+    }
+    PointState<T> state_bar = run_.inputs_.hook->reverse(state, bar);
     if (state_bar.position.size() != 3 * points || state_bar.velocity.size() != 3 * points ||
         state_bar.deformation.size() != 9 * points) {
         throw std::invalid_argument("the hook's bars must have the sizes of the state");
+    }
+    if (run_.schedule_.implicit) {
+        const auto add = [](std::vector<T>& to, const std::vector<T>& from) {
+            for (std::size_t i = 0; i < from.size(); ++i) {
+                to[i] += from[i];
+            }
+        };
+        add(state_bar.position, hook_answer_.position);
+        add(state_bar.velocity, hook_answer_.velocity);
+        add(state_bar.deformation, hook_answer_.deformation);
+        hook_told_ = whole;
+        hook_answer_ = state_bar;
     }
     for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
         const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());

@@ -10,6 +10,7 @@
 
 #include <array>
 #include <functional>
+#include <memory>
 #include <vector>
 
 #include "mphygs/model.hpp"
@@ -22,6 +23,9 @@
 namespace mphygs {
 
 class Equilibrium;
+class Team;
+template <class T>
+class MidpointColumns;
 
 /// Called at every output frame; returning false stops the run (SimulationError "interrupted").
 using Progress = std::function<bool(int frame)>;
@@ -135,6 +139,8 @@ class TotalLagrangian {
     std::vector<std::int32_t> constraint_node_;
     std::size_t stride_ = 0;  // nodes, padded
 
+    /// Of the matrix of implicit steps. All given must live longer.
+    std::unique_ptr<MidpointColumns<T>> midpoint_columns(const Fields<T>& fields, const Schedule& schedule, Team& team) const;
     std::array<std::int32_t, 9> rows_of(const std::int32_t* cell) const;
     int find_node(int i, int j, int k) const;
     SimulationError failure(const std::vector<T>& u, int frame, double time) const;

@@ -16,6 +16,10 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         std::vector<T> u, v, f;
         std::vector<Pack<T>> history;
         std::vector<double> reactions;
+        // Of an implicit step, whose f and reactions are those of its middle: the velocity there, and the impulses that give
+        // the velocity at the end what the holds prescribe.
+        std::vector<T> middle = {};
+        std::vector<double> prescribed = {};
     };
 
     TotalLagrangianReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
@@ -38,7 +42,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         const int steps = schedule_.total_steps();
         const std::size_t state_bytes = 2 * run_.size_ * sizeof(T) + run_.history_.size() * sizeof(Pack<T>);
         const std::size_t record_bytes =
-            state_bytes + run_.size_ * sizeof(T) + run_.lambda_rows_.size() * sizeof(double);
+            state_bytes + (schedule_.implicit ? 2 : 1) * (run_.size_ * sizeof(T) + run_.lambda_rows_.size() * sizeof(double));
         const auto forward = [&](int n) {
             run_.step(n, step_frame_[index(n)], step_time_[index(n)], step_dt_[index(n)]);
             if (n + 1 == steps || step_frame_[index(n + 1)] != step_frame_[index(n)]) {
@@ -50,12 +54,20 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             run_.u_ = r.u;
             run_.v_ = r.v;
             run_.history_ = r.history;
+            if (run_.midpoint_) {
+                run_.midpoint_->ahead.resize(0);
+            }
         };
         const auto forward_recorded = [&](int n) {
             Record r = save();
             forward(n);
             r.f = run_.f_;
             r.reactions = run_.lambda_rows_;
+            if (schedule_.implicit) {
+                r.middle = run_.midpoint_->middle;
+                r.reactions = run_.midpoint_->impulse;
+                r.prescribed = run_.lambda_rows_;
+            }
             return r;
         };
         const auto backward = [&](int n, const Record& r) {
@@ -101,16 +113,26 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
     }
 
+    void reverse_midpoint(int n, const Record& r);  // see `midpoint_reverse.hpp`
+
     void reverse_step(int n, const Record& r) {
+        if (schedule_.implicit) {
+            reverse_midpoint(n, r);
+            return;
+        }
         const double dt = step_dt_[index(n)];
-        const double time = step_time_[index(n)];
         const T h = static_cast<T>(dt);
         // u_n+1 = u_n + dt v_n+1
         for (std::size_t i = 0; i < vbar_.size(); ++i) {
             vbar_[i] += h * ubar_[i];
         }
-        reverse_hold(n, r, dt);
-        // Nodes without mass stay where they are.
+        reverse_hold(n, r, r.reactions, dt, true);
+        still_without_mass();
+        reverse_accelerations(n, r, step_time_[index(n)], dt, dt);
+    }
+
+    /// Nodes without mass stay where they are.
+    void still_without_mass() {
         for (std::size_t i = 0; i < run_.stride_; ++i) {
             if (run_.inverse_mass_[i] == T{}) {
                 for (std::size_t c = 0; c < 3; ++c) {
@@ -118,7 +140,11 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
                 }
             }
         }
-        // v* = v + dt (f / m + gravity + effects)
+    }
+
+    /// v* = v + span (f / m + gravity + effects), f at the state of the run and at `time` in a step dt.
+    void reverse_accelerations(int n, const Record& r, double time, double dt, double span) {
+        const T h = static_cast<T>(span);
         const int frame = step_frame_[index(n)];
         for (std::size_t c = 0; c < 3; ++c) {
             double gravity = 0;
@@ -138,7 +164,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         if (pulled_) {
             run_.observer_->pull_bar(h, vbar_.data(), asked_bar_);
         }
-        all_uniforms(model_.slots_, run_.parameters_.data(), static_cast<T>(time), h, run_.plain_uniforms_.data());
+        all_uniforms(model_.slots_, run_.parameters_.data(), static_cast<T>(time), static_cast<T>(dt), run_.plain_uniforms_.data());
         for (std::size_t i = 0; i < run_.uniforms_.size(); ++i) {
             run_.uniforms_[i] = broadcast<T>(run_.plain_uniforms_[i]);
         }
@@ -196,7 +222,13 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             ubar_[run_.at(0, i % 3, static_cast<std::size_t>(a.read_carriers()[i / 3]))] += static_cast<T>(loads.seen[i]);
         }
         for (std::size_t i = 0; i < loads.poses.size(); ++i) {
-            pose_bar_[run_.pose_at(i / 12, n) + i % 12] += loads.poses[i];
+            double* to = &pose_bar_[run_.pose_at(i / 12, n) + i % 12];
+            if (schedule_.implicit) {
+                to[0] += 0.5 * loads.poses[i];
+                to[12] += 0.5 * loads.poses[i];
+            } else {
+                *to += loads.poses[i];
+            }
         }
     }
 
@@ -217,14 +249,16 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
     }
 
-    void reverse_hold(int n, const Record& r, double dt) {
+    /// impulses: of the rows; aimed: as in the run.
+    void reverse_hold(int n, const Record& r, const std::vector<double>& impulses, double dt, bool aimed) {
         const Constraint& constraint = run_.constraint_[0];
         const std::size_t rows = constraint.row_count();
         if (rows == 0) {
             return;
         }
         const Geometry& g = model_.geometry_;
-        const double softness = static_cast<double>(run_.compliance_) / (dt * dt);
+        const double give = aimed ? run_.impulses() : 0.0;
+        const double softness = run_.softness(dt, aimed);
         const std::size_t pose_steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
         const std::vector<std::int32_t>& nodes = constraint.nodes();
         constexpr int N = 4;  // the components, in a whole pack
@@ -235,11 +269,13 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
                 at_nodes[N * k + c] = static_cast<double>(run_.inverse_mass_[node] * vbar_[c * run_.stride_ + node]);
             }
             for (std::size_t k = 0; k < rows; ++k) {
-                reaction[N * k + c] = r.reactions[c * rows + k];
+                reaction[N * k + c] = impulses[c * rows + k];
             }
         }
         constraint.template apply<N>(at_nodes.data(), s.data());
-        reverse_reaction(n, r, s);
+        if (aimed) {
+            reverse_reaction(n, r, s);
+        }
         constraint.template solve<N>(s.data(), softness, q.data());
         constraint.template transposed<N>(q.data(), at_nodes.data());
         for (std::size_t c = 0; c < 3; ++c) {
@@ -256,6 +292,9 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
                 const std::size_t node = static_cast<std::size_t>(nodes[k]);
                 inverse_mass_bar_[node] -= at_nodes[N * k + c] * static_cast<double>(vbar_[c * run_.stride_ + node]);
             }
+            if (!aimed) {
+                continue;
+            }
             for (std::size_t k = 0; k < rows; ++k) {
                 column[k] = q[N * k + c];
                 if (g.row_hold[k] < 0) {
@@ -269,9 +308,9 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
                 }
             }
             constraint.sum_per_hold(column.data(), sums.data());
-            constraint.sum_per_hold(&r.reactions[c * rows], carried.data());
+            constraint.sum_per_hold(&impulses[c * rows], carried.data());
             for (std::size_t k = 0; k < sums.size(); ++k) {
-                compliance_bar_ += sums[k] * carried[k] / (dt * dt);
+                compliance_bar_ += give * sums[k] * carried[k] / (dt * dt);
             }
         }
     }
@@ -287,7 +326,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         const std::vector<double> turn = run_.turns(0, n);
         std::vector<double> impulse_bar(3 * rows, 0.0), turn_bar(9 * holds, 0.0);
         for (std::size_t side = 0; side < 2; ++side) {
-            const double share = schedule_.reaction_weight[2 * index(n) + side] / step_dt_[index(n)];
+            const double share = run_.impulses() * schedule_.reaction_weight[2 * index(n) + side] / step_dt_[index(n)];
             add_wrench_bars(g, r.reactions.data(), turn.data(), share, &bar_.reaction[(frame + side) * holds * wrench_size],
                             impulse_bar.data(), turn_bar.data());
         }
@@ -367,7 +406,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     using Forces::channel_bar_, Forces::fbar_, Forces::gravity_bar_, Forces::index, Forces::inverse_mass_bar_, Forces::lambda_bar_, Forces::mass_bar_;
     using Forces::model_, Forces::mu_bar_, Forces::node_force_bar_, Forces::parameter_bar_, Forces::place_effect_bar_;
     using Forces::pose_bar_, Forces::reverse_body, Forces::reverse_chunk, Forces::reverse_hook, Forces::reverse_places;
-    using Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;
+    using Forces::history_bar_, Forces::hook_answer_, Forces::hook_told_, Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;
 
     const Schedule& schedule_;
     const Trajectory<T>& bar_;
@@ -375,6 +414,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     std::vector<int> step_frame_;
     bool pulled_ = false;                    // in the present substep
     std::vector<T> asked_bar_, blend_bar_;  // see ObserverRows
+    typename Forces::Sums trial_;           // what trial steps add to
 };
 
 }  // namespace mphygs

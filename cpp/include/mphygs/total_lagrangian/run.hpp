@@ -10,6 +10,7 @@
 #include "mphygs/physics/observer_rows.hpp"
 #include "mphygs/physics/reaction.hpp"
 #include "mphygs/total_lagrangian/forces.hpp"
+#include "mphygs/total_lagrangian/midpoint_state.hpp"
 
 namespace mphygs {
 
@@ -55,6 +56,13 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
 
     /// Substep `n` of the whole run, in output interval `frame`. pulled: the observer's pulls are known already.
     void step(int n, int frame, double time, double dt, bool pulled = false) {
+        if constexpr (K == 0) {
+            if (schedule_.implicit) {
+                solve_midpoint(n, frame, time, dt);
+                finish_midpoint(n, frame, dt);
+                return;
+            }
+        }
         refresh_uniforms(time, dt);
         team_->each(static_cast<int>(model_.chunks_.size()),
                     [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
@@ -268,7 +276,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     /// Where a substep stands in the targets of its output interval.
     TargetBasis target_basis(int n, int frame, double dt) const {
         const std::size_t f = static_cast<std::size_t>(frame);
-        return {n - first_step_[f], schedule_.steps[f], dt};
+        return {n - first_step_[f], schedule_.steps[f], dt, schedule_.implicit ? 0.5 : 0.0};
     }
 
     /// What the observer's channels ask for at the start of a substep [m/s^2]; whether there is anything.
@@ -354,7 +362,9 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         loads.poses.clear();
         const std::size_t holds = step < 0 || fields.pose.empty() ? 0 : static_cast<std::size_t>(model_.geometry_.hold_count);
         for (std::size_t i = 0; i < 12 * holds; ++i) {
-            loads.poses.push_back(static_cast<double>(fields.pose[pose_at(i / 12, step) + i % 12]));
+            const std::size_t from = pose_at(i / 12, step) + i % 12;
+            const double now = static_cast<double>(fields.pose[from]);
+            loads.poses.push_back(schedule_.implicit ? 0.5 * (now + static_cast<double>(fields.pose[from + 12])) : now);
         }
     }
 
@@ -478,9 +488,27 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         }
     }
 
-    /// The hold of some lanes, the values' before those of the derivatives.
+    /// The hold of some lanes, the values' before those of the derivatives. aimed: else only so that C (u + dt v) = 0.
     template <int First, int Count>
-    void hold_lanes(int n, double dt);
+    void hold_lanes(int n, double dt, bool aimed = true);
+    /// Of the holds in the constraint's terms [1/kg], infinite where only what moves a hold's rows against each other counts:
+    /// a hold that gives way has a velocity of its own.
+    double softness(double dt, bool aimed) const {
+        const double give = static_cast<double>(lane_of(compliance_, 0));
+        return aimed ? impulses() * give / (dt * dt) : give > 0.0 ? 1e100 : 0.0;
+    }
+    /// Parts of a substep's impulse that a hold's rows are solved for: an implicit step's middle has half of it.
+    double impulses() const { return schedule_.implicit ? 2.0 : 1.0; }
+
+    // See `midpoint.hpp`.
+    void prepare_midpoint();
+    void midpoint_map(const Eigen::VectorXd& x, int n, int frame, double time, double dt);
+    void stand_at_middle();
+    void solve_midpoint(int n, int frame, double time, double dt);
+    void finish_midpoint(int n, int frame, double dt);
+    /// Vectors of the values, (component, node, padded), as the matrix has them, (node, component), and back.
+    Eigen::VectorXd by_node(const std::vector<T>& from) const;
+    void by_component(const Eigen::VectorXd& from, std::vector<T>& to) const;
 
     const Schedule& schedule_;
     Team* team_;
@@ -496,6 +524,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     std::vector<double> lambda_rows_;  // lane, component, row: the impulse of each hold row [N s]
     std::vector<double> held_, missed_, impulse_, pull_;  // of the hold's work: (nodes or rows, columns)
     ReactionSums sums_;
+    std::unique_ptr<MidpointState<T>> midpoint_;  // of implicit steps
     std::vector<Constraint> constraint_;  // one, built after the masses are known
 };
 

@@ -1,0 +1,199 @@
+// The implicit step of a run's directions: the derivative of the midpoint's fixed point, all directions at once.
+#pragma once
+
+#include "mphygs/total_lagrangian/directions.hpp"
+#include "mphygs/total_lagrangian/midpoint.hpp"
+
+namespace mphygs {
+
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::enter(const Eigen::MatrixXd& x) {
+    std::fill(v_.begin(), v_.end(), W{});
+    T* to = reinterpret_cast<T*>(v_.data());
+    for (Eigen::Index k = 0; k < x.cols(); ++k) {
+        T* lane = to + (static_cast<std::size_t>(k) / width * slab_) * width + static_cast<std::size_t>(k) % width;
+        for (Eigen::Index i = 0; i < x.rows(); ++i) {
+            lane[static_cast<std::size_t>(i) * width] = static_cast<T>(x(i, k));
+        }
+    }
+}
+
+template <class T, int L>
+inline Eigen::MatrixXd TotalLagrangianDirections<T, L>::velocities() const {
+    Eigen::MatrixXd x(static_cast<Eigen::Index>(3 * model_.node_count()), static_cast<Eigen::Index>(directions_.size()));
+    const T* from = reinterpret_cast<const T*>(v_.data());
+    for (Eigen::Index k = 0; k < x.cols(); ++k) {
+        const T* lane = from + (static_cast<std::size_t>(k) / width * slab_) * width + static_cast<std::size_t>(k) % width;
+        for (Eigen::Index i = 0; i < x.rows(); ++i) {
+            x(i, k) = static_cast<double>(lane[static_cast<std::size_t>(i) * width]);
+        }
+    }
+    return x;
+}
+
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::still_without_mass() {
+    for (std::size_t n = 0; n < model_.node_count(); ++n) {
+        for (std::size_t s = 0; s < slabs_ && value_.inverse_mass_[n] == T{}; ++s) {
+            std::fill_n(&v_[s * slab_ + 3 * n], 3, W{});
+        }
+    }
+}
+
+/// The derivative of the midpoint's map along changes x of its velocity and along the directions, left in the velocity.
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd& x, int n, int frame, double middle, double dt, bool last) {
+    const T half = static_cast<T>(0.5 * dt);
+    const bool pulls = value_.observer_ && value_.pulling_;
+    enter(x);
+    for (std::size_t i = 0; i < v_.size(); ++i) {
+        u_[i] = u0_[i] + half * v_[i];
+    }
+    history_ = history0_;
+    for (std::size_t a = 0; a < added_.size(); ++a) {
+        added_[a].forces = added0_[a].forces;
+    }
+    team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), middle, dt); });
+    reduce_forces();
+    place_forces(middle);
+    hook_forces(middle, dt);
+    known_forces(frame);
+    actuate(n, frame, dt);
+    if (pulls) {
+        ask(n, frame, dt);
+        spread_pulls(0.5 * dt);
+    }
+    const std::vector<W> before = v_;
+    accelerate(middle, 0.5 * dt);
+    if (pulls) {
+        add_pulls();
+    }
+    lighten(0.5 * dt);
+    for (std::size_t i = 0; i < v_.size(); ++i) {
+        v_[i] = v0_[i] + (v_[i] - before[i]);
+    }
+    u_ = u0_;
+    still_without_mass();
+    hold(n, frame, dt, true, last);
+}
+
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, double time, double dt) {
+    using Tolerance = MidpointTolerance<T>;
+    constexpr int most = 100, patience = 25, slow_step = 8;
+    value_.solve_midpoint(n, frame, time, dt);
+    value_.stand_at_middle();
+    MidpointState<T>& m = *value_.midpoint_;
+    const double middle = time + 0.5 * dt;
+    u0_ = u_;
+    v0_ = v_;
+    history0_ = history_;
+    refresh(middle, dt);
+    added0_ = added_;
+    Eigen::MatrixXd x = velocities();
+    const std::size_t count = directions_.size();
+    std::vector<Anderson> mixed(count, Anderson(m.matrix.weight(), 20));
+    std::vector<double> before(count, std::numeric_limits<double>::infinity());
+    bool fresh = false, settled = false;
+    int i = 0;
+    for (;; ++i) {
+        midpoint_map(x, n, frame, middle, dt, settled);
+        if (settled) {
+            break;
+        }
+        const Eigen::MatrixXd d = m.matrix.solve(velocities() - x);
+        settled = true;
+        for (std::size_t k = 0; k < count; ++k) {
+            const Eigen::Index column = static_cast<Eigen::Index>(k);
+            const double size = m.matrix.size(d.col(column)), moves = m.matrix.size(x.col(column) + d.col(column));
+            // A correction says how far x was off; what is left after it is as much smaller again.
+            const double rate = std::isfinite(before[k]) ? std::min(1.0, size / before[k]) : 1.0;
+            settled = settled && (size * rate <= Tolerance::linear * moves || (rate > 0.5 && size <= Tolerance::linear_loose * moves));
+            before[k] = size;
+            x.col(column) = mixed[k].next(x.col(column), d.col(column));
+        }
+        if (!x.allFinite() || i == most) {
+            throw SimulationError("the derivatives of the implicit step do not converge before output frame " + std::to_string(frame + 1) +
+                                  " (t = " + std::to_string(time) + " s)");
+        }
+        if (i == patience && !fresh) {
+            m.refresh(middle, dt);
+            fresh = true;
+            for (Anderson& a : mixed) {
+                a.forget();
+            }
+        }
+    }
+    m.stale = m.stale || i > slow_step;
+    const T h = static_cast<T>(dt);
+    enter(x);
+    const std::vector<W> mean = v_;
+    for (std::size_t k = 0; k < v_.size(); ++k) {
+        v_[k] = T(2) * mean[k] - v0_[k];
+        u_[k] = -h * mean[k];
+    }
+    still_without_mass();
+    value_.finish_midpoint(n, frame, dt);
+    hold(n, frame, dt, false, false);
+    for (std::size_t k = 0; k < v_.size(); ++k) {
+        u_[k] = u0_[k] + h * mean[k];
+    }
+}
+
+/// Columns of the implicit step's matrix: A e = M (e - B e), of as many colours at a time as there are directions.
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::columns(const std::vector<T>& displacement, const std::vector<T>& velocity,
+                                                     const std::vector<Pack<T>>& history, double time, double dt, MidpointMatrix& to) {
+    value_.u_ = displacement;
+    value_.v_ = velocity;
+    value_.history_ = history;
+    refresh(time, dt);
+    const std::size_t all = 3 * to.colours();
+    Eigen::MatrixXd x(static_cast<Eigen::Index>(3 * model_.node_count()), static_cast<Eigen::Index>(directions_.size()));
+    std::vector<double> sum(3 * model_.node_count());
+    for (std::size_t first = 0; first < all; first += directions_.size()) {
+        const std::size_t last = std::min(all, first + directions_.size());
+        x.setZero();
+        for (std::size_t k = first; k < last; ++k) {
+            for (const int node : to.nodes_of(k / 3)) {
+                x(3 * node + static_cast<Eigen::Index>(k % 3), static_cast<Eigen::Index>(k - first)) = 1.0;
+            }
+        }
+        enter(x);
+        for (std::size_t i = 0; i < v_.size(); ++i) {
+            u_[i] = static_cast<T>(0.5 * dt) * v_[i];
+        }
+        std::fill(history_.begin(), history_.end(), W{});
+        team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
+        reduce_forces();
+        place_forces(time);
+        accelerate(time, 0.5 * dt);
+        const Eigen::MatrixXd after = velocities();
+        for (std::size_t k = first; k < last; ++k) {
+            const Eigen::Index column = static_cast<Eigen::Index>(k - first);
+            for (std::size_t i = 0; i < sum.size(); ++i) {
+                const Eigen::Index row = static_cast<Eigen::Index>(i);
+                sum[i] = static_cast<double>(value_.mass_[i / 3]) * (2.0 * x(row, column) - after(row, column));
+            }
+            to.put(k / 3, static_cast<int>(k % 3), sum);
+        }
+    }
+}
+
+/// A run that is there for the derivatives of its forces alone.
+template <class T, int L>
+class DirectionColumns : public MidpointColumns<T> {
+  public:
+    DirectionColumns(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule, Team& team)
+        : run_(model, fields, std::vector<const Fields<T>*>(3 * L, &none_), {}, nullptr, nullptr, 0, schedule, team) {}
+    void fill(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time, double dt,
+              MidpointMatrix& to) override {
+        run_.columns(displacement, velocity, history, time, dt, to);
+    }
+
+  private:
+    Fields<T> none_;
+    TotalLagrangianDirections<T, L> run_;
+};
+
+}  // namespace mphygs

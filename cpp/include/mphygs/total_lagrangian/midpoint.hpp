@@ -1,0 +1,188 @@
+// The implicit step of the nodes: the midpoint rule.
+//
+// With v_m = (v_n + v_n+1) / 2 and u_m = u_n + h/2 v_m the middle of a step is a fixed point,
+//   v_m = Phi(v_m) = hold(v_n + h/2 a(u_m, v_m, t_m)),   u_n+1 = u_n + h v_m,   v_n+1 = 2 v_m - v_n,
+// where a are the accelerations of an explicit substep, effects, loads and observer among them, and hold is what the holds
+// leave of a velocity: C (u_n + h v_m) = hold at n+1. Of v_n+1 the part that the holds prescribe is the hold's mean velocity
+// in the step: reflected at the middle it would change its sign from step to step. Nothing that follows depends on it.
+// Newton's method with old factors, made faster by Anderson's; the factors are made anew where it gets slow.
+#pragma once
+
+#include "mphygs/total_lagrangian/holds.hpp"
+#include "mphygs/total_lagrangian/hook.hpp"
+
+namespace mphygs {
+
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::prepare_midpoint() {
+    if (midpoint_) {
+        return;
+    }
+    std::vector<std::int32_t> cells;
+    for (const auto* blocks : {&model_.rows_, &model_.surface_rows_}) {
+        for (const auto& rows : *blocks) {
+            for (int a = 0; a < 27; ++a) {
+                cells.push_back(node_of<T>(*reinterpret_cast<const Rows*>(rows.data()), a));
+            }
+        }
+    }
+    for (const auto& place : model_.places_) {
+        cells.insert(cells.end(), place.node.begin(), place.node.end());
+    }
+    const std::size_t nodes = model_.node_count();
+    std::vector<double> mass(mass_.begin(), mass_.begin() + static_cast<std::ptrdiff_t>(nodes));
+    midpoint_ = std::make_unique<MidpointState<T>>(
+        MidpointMatrix(model_.geometry_, model_.node_index_, model_.constraint_node_, cells, std::move(mass)));
+    midpoint_->columns = model_.midpoint_columns(*inputs_.primal, schedule_, *team_);
+}
+
+template <class T, int K>
+inline Eigen::VectorXd TotalLagrangianRun<T, K>::by_node(const std::vector<T>& from) const {
+    Eigen::VectorXd x(static_cast<Eigen::Index>(3 * model_.node_count()));
+    for (Eigen::Index i = 0; i < x.size(); ++i) {
+        x[i] = static_cast<double>(from[at(0, static_cast<std::size_t>(i % 3), static_cast<std::size_t>(i / 3))]);
+    }
+    return x;
+}
+
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::by_component(const Eigen::VectorXd& from, std::vector<T>& to) const {
+    to.assign(size_, T{});
+    for (Eigen::Index i = 0; i < from.size(); ++i) {
+        to[at(0, static_cast<std::size_t>(i % 3), static_cast<std::size_t>(i / 3))] = static_cast<T>(from[i]);
+    }
+}
+
+/// Phi of a velocity, left in the velocity, with the displacement as at the start.
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::midpoint_map(const Eigen::VectorXd& x, int n, int frame, double time, double dt) {
+    MidpointState<T>& m = *midpoint_;
+    const T half = static_cast<T>(0.5 * dt);
+    const double middle = time + 0.5 * dt;
+    by_component(x, m.middle);
+    m.place.resize(size_);
+    for (std::size_t i = 0; i < size_; ++i) {
+        m.place[i] = m.u0[i] + half * m.middle[i];
+    }
+    stand_at_middle();
+    refresh_uniforms(middle, dt);
+    team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), middle, dt); });
+    reduce_forces();
+    place_forces(middle);
+    hook_forces(middle, dt);
+    known_forces(frame);
+    actuate(index(frame), target_basis(n, frame, dt).value, n);
+    if (ask(n, frame, dt)) {
+        spread_pulls(0.5 * dt);
+    }
+    update_nodes(middle, 0.5 * dt);
+    add_pulls();
+    m.history1 = history_;
+    u_ = m.u0;
+    for (std::size_t i = 0; i < size_; ++i) {
+        v_[i] = inverse_mass_[i % stride_] == T{} ? T{} : m.v0[i] + (v_[i] - m.middle[i]);
+    }
+    if (constraint_[0].row_count() > 0) {
+        hold_lanes<0, 1>(n, dt);
+    }
+}
+
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::stand_at_middle() {
+    u_ = midpoint_->place;
+    v_ = midpoint_->middle;
+    history_ = midpoint_->history0;
+}
+
+/// Finds the middle of a step: velocity, forces, what the holds give and what the effects remember then.
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
+    using Tolerance = MidpointTolerance<T>;
+    constexpr int most = 60, patience = 20, slow_step = 12, halvings = 10;
+    prepare_midpoint();
+    MidpointState<T>& m = *midpoint_;
+    m.u0 = u_;
+    m.v0 = v_;
+    m.history0 = history_;
+    m.mixed.forget();
+    Eigen::VectorXd x = by_node(v_), best = Eigen::VectorXd::Zero(x.size());
+    if (m.ahead.size() > 0) {
+        x += m.ahead;
+    }
+    const double spread = m.matrix.size(by_node(u_)) + model_.geometry_.spacing[0];
+    double before = std::numeric_limits<double>::infinity();
+    bool fresh = false;
+    int halved = 0;
+    for (int i = 0; i < most; ++i) {
+        midpoint_map(x, n, frame, time, dt);
+        const Eigen::VectorXd rest = by_node(v_) - x;
+        bool good = rest.allFinite();
+        if (good && (m.stale || !m.factors_serve(dt))) {
+            m.refresh(time + 0.5 * dt, dt);
+            fresh = true;
+        }
+        const Eigen::VectorXd d = good ? Eigen::VectorXd(m.matrix.solve(rest)) : rest;
+        const double size = dt * m.matrix.size(d), moves = dt * m.matrix.size(x);
+        good = good && std::isfinite(size);
+        const bool slow = !good || size > 0.9 * before;
+        if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
+                     (slow && size <= Tolerance::loose * moves + (fresh ? 3 : 1) * Tolerance::noise_loose * spread))) {
+            m.stale = m.stale || i > slow_step;
+            m.impulse = lambda_rows_;
+            return;
+        }
+        if (!good || (slow && fresh)) {
+            if (++halved > halvings) {
+                break;
+            }
+            x = 0.5 * (best + x);
+            m.mixed.forget();
+            continue;
+        }
+        if ((slow || i == patience) && !fresh) {
+            m.refresh(time + 0.5 * dt, dt);
+            fresh = true;
+            m.mixed.forget();
+            before = std::numeric_limits<double>::infinity();
+            best = x;
+            x += m.matrix.solve(rest);
+            continue;
+        }
+        before = size;
+        best = x;
+        x = m.mixed.next(x, d);
+    }
+    SimulationError error("the implicit step of " + std::to_string(dt) + " s does not converge before output frame " +
+                          std::to_string(frame + 1) + " (t = " + std::to_string(time) +
+                          " s); shorter steps may, or the material inverts");
+    error.frame = frame + 1;
+    throw error;
+}
+
+/// From the middle of a step to its end.
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::finish_midpoint(int n, int frame, double dt) {
+    MidpointState<T>& m = *midpoint_;
+    const T h = static_cast<T>(dt);
+    for (std::size_t i = 0; i < size_; ++i) {
+        v_[i] = inverse_mass_[i % stride_] == T{} ? T{} : T(2) * m.middle[i] - m.v0[i];
+        u_[i] = -h * m.middle[i];
+    }
+    if (constraint_[0].row_count() > 0) {
+        hold_lanes<0, 1>(n, dt, false);
+        if (sums_.wanted()) {
+            std::vector<double> impulse = m.impulse;
+            for (double& x : impulse) {
+                x *= 2;
+            }
+            sums_.add(0, n, frame, impulse.data(), turns(0, n).data());
+        }
+    }
+    for (std::size_t i = 0; i < size_; ++i) {
+        u_[i] = m.u0[i] + h * m.middle[i];
+    }
+    history_ = m.history1;
+    m.ahead = by_node(m.middle) - by_node(m.v0);
+}
+
+}  // namespace mphygs

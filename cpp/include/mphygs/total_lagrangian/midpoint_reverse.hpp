@@ -1,0 +1,98 @@
+// Adjoint of an implicit step: with the bar of the middle's velocity b, the fixed point's is eta = b + (d Phi / d v)^T eta.
+// It is found with the transposed factors, and what eta does to all inputs follows from one reversal of Phi.
+#pragma once
+
+#include "mphygs/total_lagrangian/midpoint.hpp"
+#include "mphygs/total_lagrangian/reverse.hpp"
+
+namespace mphygs {
+
+template <class T>
+inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) {
+    using Tolerance = MidpointTolerance<T>;
+    constexpr int most = 100, patience = 25, slow_step = 8;
+    const double dt = step_dt_[index(n)], middle = step_time_[index(n)] + 0.5 * dt;
+    const T h = static_cast<T>(dt), half = static_cast<T>(0.5 * dt);
+    MidpointState<T>& m = *run_.midpoint_;
+    m.history0 = r.history;
+    m.middle = r.middle;
+    for (std::size_t i = 0; i < run_.size_; ++i) {
+        m.place[i] = r.u[i] + half * r.middle[i];
+    }
+    run_.stand_at_middle();
+    // u_n+1 = u_n + h v_m, v_n+1 = 2 v_m - v_n but where the holds prescribe it
+    const std::vector<T> end = ubar_;
+    still_without_mass();
+    std::fill(ubar_.begin(), ubar_.end(), T{});
+    reverse_hold(n, r, r.prescribed, dt, false);
+    std::vector<T> wanted(run_.size_), reflected = vbar_;
+    for (std::size_t i = 0; i < run_.size_; ++i) {
+        wanted[i] = h * (end[i] - ubar_[i]) + T(2) * reflected[i];
+    }
+    const Eigen::VectorXd b = run_.by_node(wanted);
+    const std::vector<Pack<T>> history_bar = history_bar_;
+    hook_told_ = {};
+    hook_answer_ = {};
+    // Phi backwards: leaves the bars of v_n and u_n and returns b + (d Phi / d v)^T eta.
+    std::vector<T> eta, start, kept;
+    const auto reversed = [&](const Eigen::VectorXd& x) {
+        run_.by_component(x, eta);
+        vbar_ = eta;
+        std::fill(ubar_.begin(), ubar_.end(), T{});
+        history_bar_ = history_bar;
+        reverse_hold(n, r, r.reactions, dt, true);
+        still_without_mass();
+        start = vbar_;
+        kept = ubar_;
+        reverse_accelerations(n, r, middle, dt, 0.5 * dt);
+        std::vector<T> sum(run_.size_);
+        for (std::size_t i = 0; i < run_.size_; ++i) {
+            sum[i] = wanted[i] + half * (ubar_[i] - kept[i]) + (vbar_[i] - start[i]);
+        }
+        return run_.by_node(sum);
+    };
+    if (!m.factors_serve(dt)) {
+        m.refresh(middle, dt);
+    }
+    if (trial_.of.empty()) {
+        trial_ = this->sums_like_own();
+    }
+    this->swap_sums(trial_);  // of trial steps nothing is kept
+    // Bars weigh as what they are multiplied with: an inverse mass.
+    Eigen::VectorXd weight = m.matrix.weight().unaryExpr([](double w) { return w > 0.0 ? 1.0 / w : 0.0; });
+    const auto size = [&](const Eigen::VectorXd& x) { return std::sqrt((x.array() * weight.array() * x.array()).sum()); };
+    Anderson mixed(weight, 20);
+    Eigen::VectorXd x = m.matrix.solve_transposed(b);
+    double before = std::numeric_limits<double>::infinity();
+    bool fresh = false;
+    int i = 0;
+    for (;; ++i) {
+        const Eigen::VectorXd d = m.matrix.solve_transposed(reversed(x) - x);
+        const double now = size(d), moves = size(x + d), rate = std::isfinite(before) ? std::min(1.0, now / before) : std::min(1.0, now / moves);
+        before = now;
+        x = mixed.next(x, d);
+        if (now == 0.0 || now * rate <= Tolerance::linear * moves || (rate > 0.5 && now <= Tolerance::linear_loose * moves)) {
+            break;
+        }
+        if (!x.allFinite() || i == most) {
+            throw SimulationError("the adjoint of the implicit step does not converge at t = " + std::to_string(step_time_[index(n)]) + " s");
+        }
+        if (i == patience && !fresh) {
+            m.refresh(middle, dt);
+            fresh = true;
+            mixed.forget();
+        }
+    }
+    m.stale = m.stale || i > slow_step;
+    if (i > slow_step) {
+        m.factors_dt = 0;
+    }
+    this->swap_sums(trial_);
+    reversed(x);
+    for (std::size_t k = 0; k < run_.size_; ++k) {
+        ubar_[k] += end[k];
+        vbar_[k] = start[k] - reflected[k];
+    }
+}
+
+}  // namespace mphygs
