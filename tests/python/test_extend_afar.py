@@ -56,7 +56,7 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
     for name, function in patches.items():
         monkeypatch.setattr(discovery, name, function)
     seen_at: dict[str, Callable] = {
-        "tractable_window": lambda *_: (0.06, near), "_from_afar": lambda *_: afar,
+        "tractable_window": lambda *_: (0.06, near), "_from_soft_materials": lambda *_: afar,
         "allowance_of": lambda *_, **__: own, "rank": rank,
     }  # fmt: skip
     for name, function in seen_at.items():
