@@ -56,7 +56,7 @@ def on_terminal(command: list[str], **environment: str) -> tuple[str, str, int]:
 
 SCRIPT = """
 import sys, time
-from mphygs.console import Console
+from mphygs.commands.console import Console
 console = Console(sys.stderr, live={live})
 console.progress(0.25, "coarse: iteration 0, 3.1 sigma")
 time.sleep(0.3)
