@@ -6,7 +6,7 @@ import pytest
 from mphygs.capture.meshes import read_mesh, write_mesh
 from mphygs.capture.overlap import winding_number
 from mphygs.scene.particles import fill
-from mphygs.synth.flower import SPECIES, growth
+from mphygs.synth.flower import SPECIES, grow
 from mphygs.synth.flower.catalogue import species
 from mphygs.synth.flower.textured_surface import enclosed_volume
 
@@ -23,7 +23,7 @@ def triangles(part) -> set[tuple]:
 
 @pytest.mark.parametrize("name", SPECIES)
 def test_parts_are_closed_and_do_not_overlap(name, tmp_path) -> None:
-    parts = growth(SPECIES[name], 5).shape.parts
+    parts = grow(SPECIES[name], 5).shape.parts
     for part in parts:
         path = tmp_path / f"{part.name}.ply"
         write_mesh(path, part.vertices, part.faces)
@@ -43,7 +43,7 @@ def test_parts_are_closed_and_do_not_overlap(name, tmp_path) -> None:
 
 
 def test_filling_finds_the_volume_of_every_part() -> None:
-    parts = growth(SPECIES["lotus"], 2).shape.parts
+    parts = grow(SPECIES["lotus"], 2).shape.parts
     filled = fill(parts, spacing=0.004)
     volumes = np.array([enclosed_volume(part.vertices, part.faces) for part in parts])
     # what an earlier part owned would be missing here
@@ -52,7 +52,7 @@ def test_filling_finds_the_volume_of_every_part() -> None:
 
 def test_blades_and_the_receptacle_stand_on_the_very_triangles_of_what_carries_them() -> None:
     kind = SPECIES["anemone"]
-    parts = {part.name: triangles(part) for part in growth(kind, 0).shape.parts}
+    parts = {part.name: triangles(part) for part in grow(kind, 0).shape.parts}
     turned = {
         name: {(t[0], t[2], t[1]) for t in found}
         for name, found in parts.items()
@@ -74,7 +74,7 @@ def test_species_are_many_and_unlike_in_shape_and_material() -> None:
 
 
 def test_the_seed_changes_growth_and_materials_and_nothing_else_does() -> None:
-    one, same, other = (growth(SPECIES["poppy"], seed) for seed in (3, 3, 4))
+    one, same, other = (grow(SPECIES["poppy"], seed) for seed in (3, 3, 4))
     for a, b in zip(one.shape.parts, same.shape.parts, strict=True):
         assert np.array_equal(a.vertices, b.vertices)
     assert one.materials == same.materials != other.materials
@@ -84,7 +84,7 @@ def test_the_seed_changes_growth_and_materials_and_nothing_else_does() -> None:
 
 def test_the_hold_takes_the_foot_of_the_stem_alone() -> None:
     for kind in SPECIES.values():
-        shape = growth(kind, 1).shape
+        shape = grow(kind, 1).shape
         for part in shape.parts:
             inside = ((part.vertices >= shape.hold[0]) & (part.vertices <= shape.hold[1])).all(axis=1)
             assert inside.any() == (part.name == "stem") and not inside.all(), (kind.name, part.name)
