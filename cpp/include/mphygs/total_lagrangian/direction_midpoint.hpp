@@ -77,6 +77,19 @@ inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd&
     hold(n, frame, dt, true, last);
 }
 
+/// The largest share by which a direction changes a modulus.
+template <class T, int L>
+inline double TotalLagrangianDirections<T, L>::stiffer(std::size_t k) const {
+    double most = 0;
+    for (const auto field : {&Fields<T>::mu, &Fields<T>::lambda, &Fields<T>::stress_volume}) {
+        const std::vector<T>&own = (*value_.inputs_.primal).*field, &change = (*directions_[k]).*field;
+        for (std::size_t i = 0; i < change.size(); ++i) {
+            most = own[i] > T{} ? std::max(most, std::abs(static_cast<double>(change[i] / own[i]))) : most;
+        }
+    }
+    return most;
+}
+
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
@@ -94,6 +107,13 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     const std::size_t count = directions_.size();
     std::vector<Anderson> mixed(count, Anderson(m.matrix.weight(), 20));
     std::vector<double> before(count, std::numeric_limits<double>::infinity());
+    // Where strains are next to nothing round-off is all that the law's stress says of its moduli; in float32 the looser
+    // tolerance allows for that.
+    std::vector<double> noise(count, 0.0);
+    const double spread = m.matrix.size(value_.by_node(value_.u_)) + model_.geometry_.spacing[0];
+    for (std::size_t k = 0; k < count && Tolerance::round_off < 1e-10; ++k) {
+        noise[k] = Tolerance::noise_loose * spread * stiffer(k) / dt;
+    }
     bool fresh = false, settled = false;
     int i = 0;
     for (;; ++i) {
@@ -108,7 +128,8 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
             const double size = m.matrix.size(d.col(column)), moves = m.matrix.size(x.col(column) + d.col(column));
             // A correction says how far x was off; what is left after it is as much smaller again.
             const double rate = std::isfinite(before[k]) ? std::min(1.0, size / before[k]) : 1.0;
-            settled = settled && (size * rate <= Tolerance::linear * moves || (rate > 0.5 && size <= Tolerance::linear_loose * moves));
+            settled = settled && (size * rate <= Tolerance::linear * moves || size <= noise[k] ||
+                                  (rate > 0.5 && size <= Tolerance::linear_loose * moves));
             before[k] = size;
             x.col(column) = mixed[k].next(x.col(column), d.col(column));
         }
