@@ -20,8 +20,13 @@ from mphygs.commands.diagnose import main as diagnose
 from mphygs.commands.fit import main as fit
 from mphygs.commands.predict import main as predict
 from mphygs.fit.run import load_run
+from mphygs.fit.start import starting_belief
+from mphygs.model import registry, user_effect
+from mphygs.model.descriptor import ParameterSpec
+from mphygs.model.user_effect import UserEffect
 from mphygs.simulate.op import rollout
 from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.prediction_gradient import predict_with_gradient
 from mphygs.simulate.settings import AUTO, EXPLICIT, IMPLICIT, MLS, Settings
 from test_simulate_op import all_fields, scene
 
@@ -78,6 +83,61 @@ def test_slopes_are_those_of_differences() -> None:
     difference = (up - down) / 2e-4
     assert np.abs(difference).max() > 1e-5
     assert np.abs(found - difference).max() < 1e-5 * np.abs(difference).max()
+
+
+@pytest.mark.parametrize(("youngs_modulus", "shift"), [(3e3, -1e-6), (1e5, -3e-4)])
+def test_slopes_are_found_where_a_release_leaves_a_moment_and_next_to_no_strain(
+    youngs_modulus: float, shift: float
+) -> None:
+    capture = bar_capture(lengths=(0.04, 0.04), frames=5, fps=60.0)
+    capture = replace(capture, sequences=(replace(capture.sequences[0], release=2),))
+    predictor = Predictor(capture, capture.sequence("a"), settings(IMPLICIT))
+    keys = ("part0.youngs_modulus", "part1.youngs_modulus")
+    belief = starting_belief(capture).with_parameter("a.release_shift", value=shift)
+    for key in keys:
+        belief = belief.with_parameter(key, value=youngs_modulus)
+    free = [p.key for p in belief.free]
+    found = predictor.predict(belief, keys=free).jacobian
+    gradient = predict_with_gradient(predictor, belief, np.ones_like, keys=keys, last=5)[1]
+    for number, key in enumerate(keys):
+        step = 1e-4 * (np.array(free) == key)
+        up, down = (predictor.predict(belief.at(belief.coordinates + s * step)).position for s in (1, -1))
+        difference = (up - down) / 2e-4
+        own = found[..., free.index(key)]
+        assert np.abs(difference).max() > 1e-6
+        assert np.abs(own - difference).max() < 1e-5 * np.abs(difference).max()
+        assert gradient[number] == pytest.approx(own.sum(), rel=1e-7)
+
+
+class Braked(UserEffect):
+    """A drag that only double precision beside double precision can evaluate."""
+
+    name = "braked"
+    parameters = (ParameterSpec("beta", "1/s", 0.0, 0.0, 100.0, 1.0),)
+
+    def force(self, state, parameters):
+        there = torch.einsum("ni,ij->nj", state.velocity, torch.eye(3, dtype=state.mass.dtype))
+        return -parameters["beta"] * state.mass[:, None] * there
+
+
+def test_effects_in_python_have_the_precision_of_the_steps_that_auto_takes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(registry, "_USER", {})
+    monkeypatch.setattr(user_effect, "_IMPLEMENTATIONS", {})
+    user_effect.register_effect(Braked)
+    capture = stem(6)
+    found = []
+    for integrator in (AUTO, IMPLICIT, EXPLICIT):
+        predictor = Predictor(capture, capture.sequence("a"), settings(integrator))
+        belief = bar_belief(capture, youngs_modulus=STIFF, density=800.0).with_effect("braked", {"beta": 3.0})
+        if integrator != EXPLICIT:
+            found.append(predictor.predict(belief).position)
+        soft = bar_belief(capture, youngs_modulus=1e5, density=800.0).with_effect("braked", {"beta": 3.0})
+        if integrator != IMPLICIT:
+            found.append(predictor.predict(soft, last=3).position)
+    auto, auto_soft, implicit, explicit_soft = found
+    assert (auto == implicit).all() and (auto_soft == explicit_soft).all()
 
 
 def test_the_operation_passes_gradcheck() -> None:

@@ -83,10 +83,11 @@ class LawsPredictor(Simulated):
         fields: dict,
         simulated: Sequence[Owned] = (),
         changes: Sequence[dict] = (),
+        number: type | None = None,
     ) -> MixtureStress:
         if simulated:
             raise ValueError("a mixture of laws: expected no derivatives by what else is believed")
-        return MixtureStress(self.strengths, self.group, *self._usual(belief), self.settings.number)
+        return MixtureStress(self.strengths, self.group, *self._usual(belief), number or self.settings.number)
 
     def _usual(self, belief: Belief) -> tuple[np.ndarray, np.ndarray]:
         """(N,) each, Lame's parameters as believed [Pa]."""

@@ -176,7 +176,8 @@ class Predictor:
         fields["effect"] = _core.worst_case(fields["effect"], active)
         if self.actuation.core is not None:
             fields["channel"] = self.actuation.largest(belief)
-        stiffness, damping = self.transfer.largest_rates(model, fields, self._hook(belief, fields))
+        hook = self._hook(belief, fields, number=self.settings.number)
+        stiffness, damping = self.transfer.largest_rates(model, fields, hook)
         stiffness *= _core.stiffness_factor(fields["effect"], active)
         limit = (-damping + np.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
         return self.settings.safety * float(limit)
@@ -312,9 +313,12 @@ class Predictor:
         fields: dict,
         simulated: Sequence[Owned] = (),
         changes: Sequence[dict] = (),
+        number: type | None = None,
     ) -> object | None:
-        """What the effects in Python add to a run, if there are any."""
-        number = np.float64 if self.settings.integrator == IMPLICIT else self.settings.number
+        """What the effects in Python add to a run, if there are any. number: of the model, None for that
+        of the belief's own runs."""
+        if number is None:
+            number = np.float64 if self.implicit(belief) else self.settings.number
         return forces_of(
             belief, self.body, number, fields["mass"], simulated=simulated, changes=changes
         )

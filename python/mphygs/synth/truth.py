@@ -84,10 +84,15 @@ class CausedPredictor(Predictor):
         return self._hook(belief, fields)
 
     def _hook(
-        self, belief: Belief, fields: dict, simulated: Sequence = (), changes: Sequence = ()
+        self,
+        belief: Belief,
+        fields: dict,
+        simulated: Sequence = (),
+        changes: Sequence = (),
+        number: type | None = None,
     ) -> object | None:
         if not self._causes:
-            return super()._hook(belief, fields, simulated, changes)
+            return super()._hook(belief, fields, simulated, changes, number)
         return CauseForces(self._causes, self.body, fields["mass"])
 
 

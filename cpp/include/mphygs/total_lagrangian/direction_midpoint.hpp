@@ -77,7 +77,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd&
     hold(n, frame, dt, true, last);
 }
 
-/// The largest share by which a direction changes a modulus.
+/// The largest share by which a direction changes a modulus or a volume.
 template <class T, int L>
 inline double TotalLagrangianDirections<T, L>::stiffer(std::size_t k) const {
     double most = 0;
