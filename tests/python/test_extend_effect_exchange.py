@@ -34,17 +34,17 @@ def scene() -> tuple[Experiment, Belief]:
     return Experiment.of(recorded(capture, truth), Settings(SPACING, workers=1)), elastic
 
 
-def fitted(belief: Belief, *added: str) -> Step:
+def fitted(belief: Belief, *added: str, spacing: float = SPACING) -> Step:
     experiment, _ = scene()
-    found = minimise(experiment.problem(SPACING), experiment.starting(belief), iterations=10)
-    return step_at(experiment, found.belief, SPACING, added=added)
+    found = minimise(experiment.problem(spacing), experiment.starting(belief), iterations=10)
+    return step_at(experiment, found.belief, spacing, added=added)
 
 
-def steps_with(name: str, values: dict[str, float]) -> list[Step]:
+def steps_with(name: str, values: dict[str, float], spacing: float = SPACING) -> list[Step]:
     """The elastic model, a damping, and gravity beside it, each fitted."""
     damped = scene()[1].with_effect(name, values)
     both = damped.with_effect("gravity", {"delta_g_y": TILT})
-    return [fitted(scene()[1]), fitted(damped, name), fitted(both, "gravity")]
+    return [fitted(scene()[1]), fitted(damped, name), fitted(both, "gravity", spacing=spacing)]
 
 
 def exchange_of(steps: list[Step], said: list[str]) -> Step | None:
@@ -67,8 +67,10 @@ def test_the_right_effect_takes_the_place_of_one_found_before_it_could_be_told()
     assert exchange_of([*steps, found], []) is None
 
 
-def test_what_led_first_is_asked_again_near_the_floor_as_well() -> None:
-    steps = steps_with("viscosity", {"eta": 5.0})
+@pytest.mark.parametrize("spacing", [SPACING, SPACING / 1.3])
+def test_what_led_first_is_asked_again_near_the_floor_as_well(spacing: float) -> None:
+    # On a finer grid than rivals are tried on they have to be brought to it.
+    steps = steps_with("viscosity", {"eta": 5.0}, spacing)
     found = steps[-1].assessment
     times = 1.3 / found.worst
     more = {name: {k: times * v for k, v in ranges.items()} for name, ranges in found.ratio.items()}
@@ -76,6 +78,7 @@ def test_what_led_first_is_asked_again_near_the_floor_as_well() -> None:
     assert not unexplained.explained
     after = exchange_of([*steps[:-1], unexplained], [])
     assert after is not None and (after.added, after.dropped) == (("mass_damping",), ("viscosity",))
+    assert after.spacing == spacing
 
 
 def test_the_right_effect_stays(monkeypatch: pytest.MonkeyPatch) -> None:
