@@ -18,11 +18,16 @@ SPACING, FRAMES, SPLIT = 0.01, 24, 12
 
 
 def assessed(
-    fit: tuple[float, float], predict: tuple[float, float], *, staying: bool = False
+    fit: tuple[float, float],
+    predict: tuple[float, float],
+    *,
+    staying: bool = False,
+    alike: bool = False,
 ) -> Assessment:
     """Misfit beyond noise and the grid's share [sigma] of the fitted and of the unseen frames.
 
-    The two have nothing to do with each other but their size. staying: whether a finer grid left the misfit.
+    The two have nothing to do with each other but their size, or are alike. staying: whether a finer grid
+    left the misfit.
     """
     capture = bar_capture(frames=FRAMES, fps=100.0, fit=(0, SPLIT))
     truth = bar_belief(capture, youngs_modulus=6e4, free=())
@@ -37,7 +42,7 @@ def assessed(
     wrong = replace(
         item,
         predicted=item.observation.position - noise - size[:, 0] * signs[0],
-        refinement=size[:, 1] * signs[1],
+        refinement=-size[:, 1] * signs[0] if alike else size[:, 1] * signs[1],
         fit=(0, SPLIT),
         predict=(SPLIT, FRAMES),
         stays=staying,
@@ -112,6 +117,15 @@ def test_few_rows_do_not_tell_physics_from_noise() -> None:
     # nor do many, where the noise's own scale was measured in a few frames
     fine = replace(rated(1.1, 1.6), noise_degrees=40.0)
     assert not stays(rated(1.1, 1.6), fine, 1.3)
+
+
+@pytest.mark.parametrize("staying", [False, True])
+def test_no_direction_of_the_grid_excuses_what_a_finer_one_leaves(staying: bool) -> None:
+    # What is wrong is what the refinement changes, and its amplitude is free: the test of the floor sees it.
+    size = (0.8, 0.8)
+    found = assessed(size, size, staying=staying, alike=True)
+    assert found.by == (None if staying else "noise") and found.adequate is not staying
+    assert (found.p_value < 1e-6) is staying
 
 
 def test_no_share_of_the_grid_excuses_what_a_finer_one_leaves() -> None:

@@ -217,6 +217,8 @@ def test_missing_physics_stays_on_a_finer_grid_and_the_grids_error_falls(hidden:
         # No budget excuses it, now or when the loop is resumed.
         known = grids.with_budget(experiment, replace(once, compared=staying(once.compared)))
         assert known.stays and known.assessment.budget["discretisation"] == 0.0
+        for step in (known, fine):
+            assert all(item.stays for item in finer_grid.compared_as_step(experiment, step, truth).values())
         kept = restored(experiment, state_of(known), {"added": [], "ties": []})
         assert kept.stays and kept.persists
 
@@ -494,6 +496,24 @@ def told(
     expected = after if ("grid", deciding()) in done and after is not None else step
     assert found.belief is expected.belief and found.spacing == expected.spacing
     return done
+
+
+@pytest.mark.parametrize("left", [False, True])
+def test_what_the_finer_grid_leaves_is_known_of_the_step_that_stays(
+    monkeypatch: pytest.MonkeyPatch, left: bool
+) -> None:
+    experiment, truth = scene()
+    fine = steps_told()[1]
+    near = step_at(experiment, truth.with_parameter(FREE[0], value=6.2e4), fine, added=("viscosity",))
+    after = replace(near, compared=staying(near.compared)) if left else near
+    monkeypatch.setattr(grids, "excess", lambda assessment: float(assessment.worst >= 9.0))
+    monkeypatch.setattr(grids, "on_finer_grid", lambda *_: after)
+    monkeypatch.setattr(grids, "with_budget", lambda _e, step, *_, **__: step)
+    monkeypatch.setattr(grids, "_physics", lambda _step: False)
+    first = step_of(assessment_of(9.0), spacing=fine)
+    found = grids.on_required_grid(experiment, [first, near], None, screening=True)
+    assert 1.2 < near.assessment.worst < LARGEST_GRID_ERROR and found.belief is near.belief
+    assert found.stays is left
 
 
 def test_only_a_grid_for_screening_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -173,7 +173,7 @@ def assess(
     # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
     # range: fitted frames may not pay for what unseen ones show.
     beyond = [(whitened.residual[rows] ** 2 - share[rows] ** 2) for rows in _ranges(whitened)]
-    own = excusable and np.any(whitened.refinement) and worst < LARGEST_GRID_ERROR
+    own = np.any(share) and worst < LARGEST_GRID_ERROR
     own = own and max(map(np.mean, beyond)) <= BUDGET_FLOOR**2
     by = None
     if floor.reached and worst <= LARGEST_EXCUSED:

@@ -189,9 +189,12 @@ def compared_as_step(experiment: Experiment, step: Step, belief: Belief) -> dict
 
     Raises SimulationError.
     """
-    compared = compared_on_grid(
-        experiment, belief, step.spacing, refined=known_budget(step), beside=step.beside
-    )
+    if step.lender is not None:
+        compared = compared_on_both_grids(experiment, belief, step.spacing, step.lender)
+    else:
+        compared = compared_on_grid(
+            experiment, belief, step.spacing, refined=known_budget(step), beside=step.beside
+        )
     return staying(compared) if step.stays else compared
 
 

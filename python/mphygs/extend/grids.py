@@ -12,7 +12,6 @@ from mphygs.extend.finer_grid import (
     LENDS,
     best_fitting,
     compared_as_step,
-    compared_on_both_grids,
     jacobian_source,
     on_finer_grid,
     with_tangents,
@@ -237,11 +236,7 @@ def complete(experiment: Experiment, step: Step, *, screening: bool = False) -> 
             return step
     if all(item.jacobian.shape[-1] == len(step.belief.free) for item in step.compared.values()):
         return step
-    if step.lender is None:
-        compared = compared_as_step(experiment, step, step.belief)
-    else:
-        compared = compared_on_both_grids(experiment, step.belief, step.spacing, step.lender)
-        compared = staying(compared) if step.stays else compared
+    compared = compared_as_step(experiment, step, step.belief)
     return replace(step, compared=compared, assessment=experiment.assess(compared))
 
 
