@@ -21,8 +21,9 @@ import tyro
 from mphygs.capture.format import Capture, Hold, Known, Markers, Part, Sequence
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
-from mphygs.simulate.prediction import STEPS_A_FRAME, Predictor
+from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
+from mphygs.simulate.sequence_model import STEPS_A_FRAME
 from mphygs.simulate.settings import AUTO, EXPLICIT, IMPLICIT, Settings
 
 FPS = 60.0

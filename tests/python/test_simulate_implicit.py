@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-import mphygs.simulate.prediction as prediction
+import mphygs.simulate.sequence_model as sequence_model
 from bar_capture import bar_belief, bar_capture
 from command_example import answer, call
 from mphygs.capture.format import Capture, Known, Markers, save_capture
@@ -161,7 +161,7 @@ def test_auto_takes_implicit_steps_where_the_object_is_stiff_only() -> None:
     predictor = Predictor(capture, capture.sequence("a"), settings(AUTO))
     soft, stiff = (bar_belief(capture, youngs_modulus=e, density=800.0) for e in (1e5, STIFF))
     assert not predictor.implicit(soft) and predictor.implicit(stiff)
-    assert predictor.stable_substep(stiff) == pytest.approx(1 / (prediction.STEPS_A_FRAME * FPS))
+    assert predictor.stable_substep(stiff) == pytest.approx(1 / (sequence_model.STEPS_A_FRAME * FPS))
     explicit = Predictor(capture, capture.sequence("a"), settings(EXPLICIT))
     assert predictor.stable_substep(soft) == explicit.stable_substep(soft)
     few = [p.predict(soft, last=6).position for p in (predictor, explicit)]
@@ -180,12 +180,12 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     capture = stem()
     belief = bar_belief(capture, youngs_modulus=STIFF, density=800.0)
     # The truth in steps a quarter as long.
-    steps = prediction.STEPS_A_FRAME
+    steps = sequence_model.STEPS_A_FRAME
     try:
-        prediction.STEPS_A_FRAME = 4 * steps
+        sequence_model.STEPS_A_FRAME = 4 * steps
         truth = Predictor(capture, capture.sequence("a"), settings(IMPLICIT)).predict(belief).position
     finally:
-        prediction.STEPS_A_FRAME = steps
+        sequence_model.STEPS_A_FRAME = steps
     seen = truth + SIGMA * np.random.default_rng(3).standard_normal(truth.shape)
     one = capture.sequences[0]
     assert one.markers is not None
@@ -202,7 +202,7 @@ def test_fit_finds_the_modulus_of_a_stiff_stem(fitted: dict) -> None:
     found = given["parameters"]["part0.youngs_modulus"]
     assert found["value"] / STIFF == pytest.approx(1.0, abs=0.03)
     assert given["integrator"] == {"a": "implicit"}
-    assert given["substep"]["a"] == pytest.approx(1 / (prediction.STEPS_A_FRAME * FPS))
+    assert given["substep"]["a"] == pytest.approx(1 / (sequence_model.STEPS_A_FRAME * FPS))
     assert json.loads((fitted["run"] / "run.json").read_text())["settings"]["integrator"] == "implicit"
 
 
@@ -210,7 +210,7 @@ def test_the_commands_go_on_with_implicit_steps(fitted: dict) -> None:
     before = fitted["answer"]["sequences"]["a"]["predict"]["rms"]
     assert before < 1.2 * SIGMA * np.sqrt(3.0)  # of all three components
     predicted_again = answer(predict, fitted["run"])["sequences"]["a"]
-    assert predicted_again["substeps"] == prediction.STEPS_A_FRAME * (FRAMES - 1)
+    assert predicted_again["substeps"] == sequence_model.STEPS_A_FRAME * (FRAMES - 1)
     compared = answer(compare, fitted["run"])["sequences"]["a"]
     assert compared["predict"]["rms"] == pytest.approx(before, rel=1e-3)
     assert answer(diagnose, fitted["run"], "--effects", "mass_damping")["ranking"]

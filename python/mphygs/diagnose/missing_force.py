@@ -21,7 +21,7 @@ from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.forced_motion import ForcedMotion, ForcedSequence
-from mphygs.simulate.prediction import acts_in_simulation
+from mphygs.simulate.scope import acts_in_simulation
 
 # Above this misfit [sigma] the motion is followed in stages, over these shares of the frames.
 FAR = 3.0

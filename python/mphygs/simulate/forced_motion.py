@@ -11,7 +11,8 @@ import numpy as np
 
 from mphygs.model.belief import Belief
 from mphygs.simulate.measurement import before_measurement, with_measurement_faults
-from mphygs.simulate.prediction import Predictor, acts_in_simulation
+from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.scope import acts_in_simulation
 from mphygs.simulate.timeline import Timeline
 
 # Of the time between frames: the difference that gives the slope by a release.

@@ -9,7 +9,8 @@ import numpy as np
 
 from mphygs.model.belief import Belief
 from mphygs.simulate.measurement import before_measurement
-from mphygs.simulate.prediction import Prediction, Predictor, acts_in_simulation
+from mphygs.simulate.prediction import Prediction, Predictor
+from mphygs.simulate.scope import acts_in_simulation
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
 

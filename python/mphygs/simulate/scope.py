@@ -1,4 +1,5 @@
-"""Effects that only some sequences have, and masses whose weight a known load states already."""
+"""What parameters and effects act on: the motion or what is seen of it, all sequences or some, masses whose
+weight a known load states already."""
 
 from __future__ import annotations
 
@@ -43,3 +44,22 @@ def stated_weights(belief: Belief) -> tuple[str, ...]:
     return tuple(
         t.name for t in belief.terms if effect(t.name).site == "mass" and not t.settings.get("weight", True)
     )
+
+
+def moves_targets(parameter: Parameter) -> bool:
+    """Whether a parameter changes where the measurement says that markers are: a fault of it."""
+    try:
+        return effect(parameter.key.rsplit(".", 1)[0]).fault
+    except KeyError:
+        return False
+
+
+def acts_in_simulation(parameter: Parameter) -> bool:
+    """Whether a parameter changes the motion; the others change what is seen of it, or when it starts."""
+    owner = parameter.key.rsplit(".", 1)[0]
+    if parameter.key.endswith(".release_shift"):
+        return False
+    try:
+        return not effect(owner).fault
+    except KeyError:
+        return True
