@@ -94,21 +94,26 @@ def test_a_result_that_the_user_replaced_is_the_users_own(tmp_path: Path) -> Non
     assert made.state() == "own"
 
 
-@pytest.mark.parametrize("moment", range(3))
-def test_broken_off_while_writing_nothing_old_passes_for_new(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: int
-) -> None:
-    of_arrays(tmp_path, seed=1).write(ARRAYS)
+def break_off(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    """Interrupted where, after so many files, another one would be put in its place."""
     replaced: list[str] = []
     whole = os.replace
 
     def stops(source: Path, target: Path) -> None:
-        if len(replaced) == moment:
+        if len(replaced) == after:
             raise KeyboardInterrupt
         replaced.append(str(target))
         whole(source, target)
 
     monkeypatch.setattr("mphygs.capture.written.os.replace", stops)
+
+
+@pytest.mark.parametrize("moment", range(3))
+def test_broken_off_while_writing_nothing_old_passes_for_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: int
+) -> None:
+    of_arrays(tmp_path, seed=1).write(ARRAYS)
+    break_off(monkeypatch, moment)
     with pytest.raises(KeyboardInterrupt):
         of_arrays(tmp_path, seed=2).write({"position": np.full(3, 9.0)})
     monkeypatch.undo()
@@ -126,16 +131,7 @@ def test_what_is_done_so_far_is_kept_for_the_same_make(
     here = stage.begun
     assert not here.complete(*here.made_of)
     here.write({"position": np.zeros((2, 3))})
-    replaced: list[str] = []
-    whole = os.replace
-
-    def stops(source: Path, target: Path) -> None:
-        if len(replaced) == moment:
-            raise KeyboardInterrupt
-        replaced.append(str(target))
-        whole(source, target)
-
-    monkeypatch.setattr("mphygs.capture.written.os.replace", stops)
+    break_off(monkeypatch, moment)
     with pytest.raises(KeyboardInterrupt):
         here.write({"position": np.ones((4, 3))})
     monkeypatch.undo()
