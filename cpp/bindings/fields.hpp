@@ -57,7 +57,7 @@ inline mphygs::Actuation to_actuation(const py::dict& geometry) {
 
 inline mphygs::Geometry to_geometry(const py::dict& d) {
     reject_unknown(d,
-                   {"origin", "spacing", "grid_width", "cell", "part", "points", "sparse", "surface_cell", "surface_points", "surface_area", "place_cell",
+                   {"origin", "spacing", "grid_width", "curved_node", "curved_position", "cell", "part", "points", "sparse", "surface_cell", "surface_points", "surface_area", "place_cell",
                     "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "hold_centre", "part_count",
                     "actuation"},
                    "geometry");
@@ -76,6 +76,8 @@ inline mphygs::Geometry to_geometry(const py::dict& d) {
         g.grid_spacing.clear();
     }
     g.grid_width = d.contains("grid_width") ? d["grid_width"].cast<int>() : 0;
+    g.curved_node = entry<std::int32_t>(d, "curved_node");
+    g.curved_position = entry<double>(d, "curved_position");
     g.cell = entry<std::int32_t>(d, "cell");
     g.part = entry<std::int32_t>(d, "part");
     g.points = entry<double>(d, "points");

@@ -29,6 +29,9 @@ struct Geometry {
     // (i, j, l) of grid k, for i in [0, grid_width). 0: one grid for all.
     int grid_width = 0;
     std::vector<double> grid_origin, grid_spacing;  // (G, 3) of every grid [m]; none: as `origin` and `spacing` say
+    // Nodes that stand elsewhere: their grids are curved, and points of their cells are where these nodes' splines put them.
+    std::vector<std::int32_t> curved_node;  // (K, 3) node index, of a curved grid all that material touches
+    std::vector<double> curved_position;    // (K, 3) [m]
     std::vector<std::int32_t> cell;   // (B, 3) knot span of each block
     std::vector<std::int32_t> part;   // (B,)
     std::vector<double> points;       // (B, 8, 3) [m]
@@ -53,6 +56,8 @@ struct Geometry {
     std::size_t surface_count() const { return surface_cell.size() / 3; }
     std::size_t place_count() const { return places.size() / 3; }
     std::size_t row_count() const { return row_hold.size(); }
+    /// The grid of the cell or node at i along the first axis.
+    int grid_of(int i) const { return (i - standing(i)) / std::max(grid_width, 1); }
     /// Along the first axis, the number of a cell or node on its own grid.
     int standing(int i) const { return grid_width > 0 ? ((i % grid_width) + grid_width) % grid_width : i; }
     /// Origin and spacing of the grid of the cell or node at i along the first axis [m].
@@ -64,7 +69,7 @@ struct Geometry {
         if (each.empty()) {
             return all;
         }
-        const std::size_t g = 3 * static_cast<std::size_t>((i - standing(i)) / std::max(grid_width, 1));
+        const std::size_t g = 3 * static_cast<std::size_t>(grid_of(i));
         return {each.at(g), each.at(g + 1), each.at(g + 2)};
     }
 };

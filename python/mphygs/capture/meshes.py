@@ -32,13 +32,15 @@ class Part:
     """One visible part of the object.
 
     vertices: (V, 3) float64 [m], merged; faces: (F, 3) int64, closed, outward, volume above zero; boundary:
-    standard deviation of where all of its surface lies along its normal [m], 0 where the mesh is given.
+    standard deviation of where all of its surface lies along its normal [m], 0 where the mesh is given;
+    shape: what it is simulated as, "solid", "rod", "shell" or "auto".
     """
 
     name: str
     vertices: np.ndarray
     faces: np.ndarray
     boundary: float = 0.0
+    shape: str = "solid"
 
     @property
     def area(self) -> float:
@@ -61,15 +63,14 @@ def read_part(folder: Path, entry: Entry) -> Part:
     """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent), `as`."""
     entry.check_keys(required=("name", "mesh"), optional=("scale", "as", "thickness"))
     name = entry["name"].name()
-    if (shape := entry.get("as")) and shape.choice(_SHAPES) not in ("solid", "auto"):
-        raise shape.fault(f'a part as a "{shape.value}" is not simulated yet', _SOLID)
+    shape = given.choice(_SHAPES) if (given := entry.get("as")) else "solid"
     if thickness := entry.get("thickness"):
         raise thickness.fault("a mesh that is a middle surface is not simulated yet", _SOLID)
     scale = 1.0
     if given := entry.get("scale"):
         scale = given.within(1e-12, 1e12, "a number above zero (file unit -> metre)")
     vertices, faces = read_mesh(file_inside(folder, entry["mesh"]))
-    return Part(name=name, vertices=vertices * scale, faces=faces)
+    return Part(name=name, vertices=vertices * scale, faces=faces, shape=shape)
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,8 @@ from mphygs.scene.rays import checked_boxes, inside
 if TYPE_CHECKING:
     from mphygs.capture.format import Part
 
-SAMPLES_PER_SPACING = 6
+# So many at least across what is thin: a sheet that is gripped may not turn about the line of its grip.
+SAMPLES_PER_SPACING, FEWEST = 6, 4
 # How far to either side of the face there must be material, in spacings.
 _PROBE = 1e-3
 
@@ -84,7 +85,7 @@ def _grid(
     strips = []
     for axis in across:
         length = float(high[axis] - low[axis])
-        samples = int(np.ceil(length / spacing * SAMPLES_PER_SPACING - 1e-6))
+        samples = max(int(np.ceil(length / spacing * SAMPLES_PER_SPACING - 1e-6)), FEWEST)
         flat = np.unique(np.concatenate([flat_planes(part, axis, 1e-9 * spacing) for part in parts]))
         flat = flat if len(flat) <= max(samples, 8) else flat[:0]
         planes = np.concatenate([flat, others[:, :, axis].ravel()])

@@ -1,6 +1,7 @@
 """From part meshes to what the simulation needs of them at rest: one door to the files that do it."""
 
 from mphygs.scene.closest import MaterialAnchor, closest_material
+from mphygs.scene.curved_quadrature import chosen_shape, lay_chart, rods_doubled
 from mphygs.scene.holding import HoldFace, hold_face
 from mphygs.scene.joints import Joint, find_joints
 from mphygs.scene.quadrature import Quadrature, fill, fill_each
@@ -13,6 +14,7 @@ __all__ = [
     "MaterialAnchor",
     "Quadrature",
     "SurfaceSamples",
+    "chosen_shape",
     "closest_material",
     "exposed_surface",
     "fill",
@@ -20,4 +22,6 @@ __all__ = [
     "find_joints",
     "hold_face",
     "inside",
+    "lay_chart",
+    "rods_doubled",
 ]

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mphygs.scene.columns import Segments, Strips, cut_axis, flat_planes, split_columns
-from mphygs.scene.rays import checked_boxes, expand
+from mphygs.scene.blocks import CORNERS, Blocks, Grid, fitting, moments, spread
+from mphygs.scene.columns import Strips, cut_axis, flat_planes, split_columns
+from mphygs.scene.curved_quadrature import fill_curved
+from mphygs.scene.rays import checked_boxes
 
 if TYPE_CHECKING:
     from mphygs.capture.format import Part
+    from mphygs.scene.charts import Chart
 
 # A cell with less material than this share of its volume is left out; the rest of its part takes its volume.
 SMALLEST_SHARE = 1e-4
 # What a part may lose when all its free material is such slivers (left over beside a hold).
 LARGEST_LOSS = 1e-2
-# Cells that are made to fit are between these, in spacings.
-SMALLEST, LARGEST = 0.75, 1.3
-_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3)
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,9 @@ class Quadrature:
     origin, spacing: of the grid, (3,) [m], or of every part's own grid, (P, 3) [m]; node_shape: (3,) int,
     every touched node has an index in [0, node_shape); cell: (B, 3) int32; part: (B,) int32; points:
     (B, 8, 3) [m], inside their cell; volumes: (B, 8) [m^3]; part_volume: (P,) [m^3], each mesh whole;
-    free_volume: (P,) [m^3], what is left of it without excluded boxes and without what an earlier part owns.
+    free_volume: (P,) [m^3], what is left of it without excluded boxes and without what an earlier part owns;
+    charts: of every part, None where its grid is a lattice, or empty. What has a chart has no origin, and
+    for its spacing the mean edges of its cells.
     """
 
     origin: np.ndarray
@@ -46,6 +48,32 @@ class Quadrature:
     volumes: np.ndarray
     part_volume: np.ndarray
     free_volume: np.ndarray
+    charts: tuple[Chart | None, ...] = ()
+
+    def chart(self, part: int) -> Chart | None:
+        """The curved grid of a part, if it has one."""
+        return self.charts[part] if self.charts else None
+
+    def in_cells(self, points: np.ndarray, part: int) -> np.ndarray:
+        """Places (..., 3) [m] in cells of a part's grid, from its node 0."""
+        if chart := self.chart(part):
+            return chart.to_cells(points)
+        return (points - self.origins[part]) / self.spacings[part]
+
+    def from_cells(self, position: np.ndarray, part: int) -> np.ndarray:
+        """Places (M, 3) [m] of positions (M, 3) in cells of a part's grid."""
+        if chart := self.chart(part):
+            return chart.to_space(position)
+        return self.origins[part] + position * self.spacings[part]
+
+    @cached_property
+    def cell_volume(self) -> np.ndarray:
+        """(B,) volume of each block's cell [m^3]."""
+        volume = self.spacings.prod(1)[self.part]
+        for number, chart in enumerate(self.charts):
+            if chart is not None and (mine := self.part == number).any():
+                volume[mine] = np.abs(np.linalg.det(chart.jacobian(self.cell[mine].astype(float))))
+        return volume
 
     @property
     def origins(self) -> np.ndarray:
@@ -59,8 +87,10 @@ class Quadrature:
 
     @property
     def filled(self) -> np.ndarray:
-        """(B,) share of the cell that each block's material fills."""
-        return self.volumes.sum(1) / self.spacings.prod(1)[self.part]
+        """(B,) share of its cell that the material of each block and of those beside it fills."""
+        place = np.concatenate([self.part[:, None], self.cell], axis=1)
+        which = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+        return np.bincount(which, self.volumes.sum(1))[which] / self.cell_volume
 
 
 def fill(
@@ -107,8 +137,9 @@ def fill_each(
     exclude_boxes: np.ndarray | None = None,
     planes: Mapping[tuple[int, int], float] | None = None,
     samples: int = 12,
+    charts: Sequence[Chart | None] = (),
 ) -> Quadrature:
-    """As `fill`, every part on a grid of its own that fits its free material.
+    """As `fill`, every part on a grid of its own that fits its free material, or on a chart that is given.
 
     spacing: of the grids, along each axis as near to it as makes a whole number of cells [m]; planes: for
     (part, axis) a coordinate where a boundary between cells has to lie, as where a hold grips [m].
@@ -121,55 +152,32 @@ def fill_each(
     for number, part in enumerate(parts):
         # What an earlier part owns is its own.
         near = [p for p in parts[:number] if _overlap(p, part)]
+        if charts and (chart := charts[number]) is not None:
+            found.append(fill_curved(part, number, len(parts), chart, boxes, near, samples))
+            edges = np.linalg.norm(chart.jacobian(np.array([0.5 * (chart.count + 1)])), axis=1)[0]
+            grids.append(Grid(0.5 * edges, edges, chart.count))
+            continue
         low, high, free = _free_extent([*near, part], boxes, spacing, samples)
         grid = _fitting_grid(low, high, spacing, [(planes or {}).get((number, a)) for a in range(3)])
         blocks = _blocks([*near, part], boxes, grid, samples)
         found.append(blocks.only(len(near), number, len(parts), free))
         grids.append(grid)
     size, corner = (np.stack([getattr(g, name) for g in grids]) for name in ("spacing", "corner"))
-    return _checked_blocks(parts, found, size, corner)
-
-
-class Grid(NamedTuple):
-    """corner: lower one of the first cell (3,) [m]; spacing: (3,) [m]; count: (3,) cells."""
-
-    corner: np.ndarray
-    spacing: np.ndarray
-    count: np.ndarray
+    return replace(_checked_blocks(parts, found, size, corner), charts=tuple(charts))
 
 
 def _fitting_grid(
     low: np.ndarray, high: np.ndarray, spacing: float, planes: Sequence[float | None]
 ) -> Grid:
-    """The cells that cover a box, see `_fitting`; a column of single cells becomes one of pairs: its points
+    """The cells that cover a box, see `fitting`; a column of single cells becomes one of pairs: its points
     do not see all shapes of the splines, and no neighbour holds those."""
-    cells = [_fitting(low[a], high[a], spacing, planes[a]) for a in range(3)]
+    cells = [fitting(low[a], high[a], spacing, planes[a]) for a in range(3)]
     single = [a for a in range(3) if cells[a][2] == 1]
     if len(single) > 1:
         widest = max(single, key=lambda a: high[a] - low[a])
-        cells[widest] = _fitting(low[widest], high[widest], spacing, planes[widest], least=2)
+        cells[widest] = fitting(low[widest], high[widest], spacing, planes[widest], least=2)
     corner, size, count = (np.array(values) for values in zip(*cells, strict=True))
     return Grid(corner, size, count)
-
-
-def _fitting(
-    low: float, high: float, spacing: float, plane: float | None, least: int = 1
-) -> tuple[float, float, int]:
-    """Lower end, spacing and count of cells along one axis that cover [low, high].
-
-    least: count of cells; plane: where a boundary between cells has to be [m]. Else the cells stand as far
-    beyond the one end as beyond the other: not at all, unless the material is thinner than the least spacing.
-    """
-    inner = plane is not None and low - 1e-6 * spacing < plane < high + 1e-6 * spacing
-    length = max(high - plane, plane - low) if inner else high - low
-    count = max(least, round(length / spacing))
-    if length > LARGEST * spacing * count:
-        count += 1
-    size = max(length / count, SMALLEST * spacing)
-    if not inner:
-        return 0.5 * (low + high - count * size), size, count
-    below, above = (max(0, int(np.ceil(x / size - 1e-6))) for x in (plane - low, high - plane))
-    return plane - below * size, size, below + above
 
 
 def _overlap(one: Part, other: Part) -> bool:
@@ -211,40 +219,19 @@ def _strips(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) 
     )
 
 
-class _Blocks(NamedTuple):
-    """Blocks of one grid. cell: (B, 3); part: (B,); share: (B,) of a cell's volume; volume: (B,) [m^3];
-    points: (B, 8, 3) [m]; seen: (P,) volume of every part before anything was taken from it [m^3]."""
-
-    cell: np.ndarray
-    part: np.ndarray
-    share: np.ndarray
-    volume: np.ndarray
-    points: np.ndarray
-    seen: np.ndarray
-
-    def only(self, part: int, number: int, part_count: int, free: float) -> _Blocks:
-        """The blocks of one part, which is number `number` of `part_count`; free: share of it that they are,
-        for the grid reaches no further than they do."""
-        mine, seen = self.part == part, np.zeros(part_count)
-        seen[number] = self.volume[mine].sum() / free if free > 0.0 else self.seen[part]
-        kept = [values[mine] for values in (self.cell, self.part, self.share, self.volume, self.points)]
-        kept[1] = np.full(int(mine.sum()), number)
-        return _Blocks(*kept, seen)
-
-
-def _blocks(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) -> _Blocks:
+def _blocks(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) -> Blocks:
     x, y = _strips(parts, boxes, grid, samples)
     segments = split_columns(parts, boxes, x, y)
-    cell, part, share, mean, covariance = _moments(segments, x, y, grid)
-    points = mean[:, None] + np.einsum("kc,bac->bka", _CORNERS, _spread(mean, covariance))  # (B, 8, 3)
+    cell, part, share, mean, covariance = moments(segments, x, y, grid)
+    points = mean[:, None] + np.einsum("kc,bac->bka", CORNERS, spread(mean, covariance))  # (B, 8, 3)
     centre = grid.corner + (cell + 0.5) * grid.spacing
     volume = share * grid.spacing.prod()
     placed = centre[:, None] + points * grid.spacing
-    return _Blocks(cell, part, share, volume, placed, segments.full_volume)
+    return Blocks(cell, part, share, volume, placed, segments.full_volume)
 
 
 def _checked_blocks(
-    parts: Sequence[Part], found: Sequence[_Blocks], spacing: np.ndarray, corner: np.ndarray
+    parts: Sequence[Part], found: Sequence[Blocks], spacing: np.ndarray, corner: np.ndarray
 ) -> Quadrature:
     """All blocks, with the volumes of the meshes. spacing, corner: (3,), or (P, 3) of own grids [m]."""
     seen = _seen(parts, np.sum([blocks.seen for blocks in found], axis=0))
@@ -311,55 +298,3 @@ def _seen(parts: Sequence[Part], full_volume: np.ndarray) -> np.ndarray:
                 f"part '{part.name}': thinner than the columns that look for it, expected more samples"
             )
     return full_volume
-
-
-def _moments(
-    segments: Segments, x: Strips, y: Strips, grid: Grid
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks with their share of a cell, mean and covariance, in cells about the middle of their cell."""
-    corner, spacing, cell_count = grid
-    low, high = (segments.low - corner[2]) / spacing[2], (segments.high - corner[2]) / spacing[2]
-    first = np.clip(np.floor(low), 0, cell_count[2] - 1).astype(np.int64)
-    last = np.clip(np.ceil(high) - 1, first, cell_count[2] - 1).astype(np.int64)
-    row, place = expand(last - first + 1)
-    level = first[row] + place
-    bottom = np.where(place == 0, low[row], level) - level - 0.5
-    top = np.where(level == last[row], high[row], level + 1) - level - 0.5
-    at_x, at_y = segments.x[row], segments.y[row]
-    width = np.stack([x.width[at_x] / spacing[0], y.width[at_y] / spacing[1], top - bottom], axis=1)
-    middle = np.stack(
-        [
-            (x.middle[at_x] - corner[0]) / spacing[0] - x.cell[at_x] - 0.5,
-            (y.middle[at_y] - corner[1]) / spacing[1] - y.cell[at_y] - 0.5,
-            0.5 * (bottom + top),
-        ],
-        axis=1,
-    )
-    part_count = len(segments.full_volume)
-    key = (x.cell[at_x] * cell_count[1] + y.cell[at_y]) * cell_count[2] + level
-    key, block = np.unique(key * part_count + segments.part[row], return_inverse=True)
-    weight = width.prod(axis=1)
-
-    def total(values: np.ndarray) -> np.ndarray:
-        return np.bincount(block, weights=weight * values, minlength=len(key))
-
-    share = total(np.ones(len(weight)))
-    safe = np.where(share > 0.0, share, 1.0)
-    mean = np.stack([total(middle[:, a]) / safe for a in range(3)], axis=1)
-    spread = middle - mean[block]  # about the mean, so that no digits cancel in thin slivers
-    covariance = np.empty((len(key), 3, 3))
-    for a in range(3):
-        for b in range(a, 3):
-            own = width[:, a] ** 2 / 12.0 if a == b else 0.0
-            covariance[:, a, b] = covariance[:, b, a] = total(spread[:, a] * spread[:, b] + own) / safe
-    cell = np.stack(np.unravel_index(key // part_count, tuple(cell_count)), axis=1)
-    return cell, key % part_count, share, mean, covariance
-
-
-def _spread(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Symmetric square roots of covariances (B, 3, 3), rows shrunk where mean + R s would leave the cell."""
-    values, axes = np.linalg.eigh(covariance)
-    root = np.einsum("bij,bj,bkj->bik", axes, np.sqrt(np.maximum(values, 0.0)), axes)
-    reach = np.abs(root).sum(axis=2)  # (B, 3), furthest of the eight points along each axis
-    room = np.maximum(0.5 - np.abs(mean), 0.0) * (1.0 - 1e-9)
-    return root * np.minimum(1.0, room / np.maximum(reach, 1e-300))[:, :, None]

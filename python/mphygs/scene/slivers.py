@@ -22,10 +22,15 @@ def merge_slivers(quadrature: Quadrature, *, share: float) -> Quadrature:
     are joined smallest first to the neighbour with the most material, face neighbours preferred;
     one without any neighbour of its part stays.
     """
-    least = share * quadrature.spacings.prod(1)[quadrature.part]
+    least = share * quadrature.cell_volume
     volume = quadrature.volumes.sum(1)
-    mean = quadrature.points.mean(1)
-    deviation = quadrature.points - mean[:, None]
+    points = quadrature.points.copy()
+    curved = [number for number, chart in enumerate(quadrature.charts) if chart is not None]
+    for number in curved:  # told in cells, where neighbours of a bent sheet lie beside each other
+        mine = quadrature.part == number
+        points[mine] = quadrature.in_cells(points[mine], number)
+    mean = points.mean(1)
+    deviation = points - mean[:, None]
     covariance = np.einsum("bqi,bqj->bij", deviation, deviation) / 8.0
     index = {
         (int(p), *map(int, c)): b
@@ -60,6 +65,8 @@ def merge_slivers(quadrature: Quadrature, *, share: float) -> Quadrature:
         value, axes = np.linalg.eigh(covariance[block])
         root = axes @ np.diag(np.sqrt(np.maximum(value, 0.0))) @ axes.T
         points[block] = mean[block] + _CORNERS @ root
+        if quadrature.part[block] in curved:
+            points[block] = quadrature.from_cells(points[block], int(quadrature.part[block]))
         volumes[block] = volume[block] / 8.0
     return replace(
         quadrature,

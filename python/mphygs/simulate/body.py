@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from mphygs import _core
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence
+from mphygs.scene.charts import Chart
 from mphygs.scene.particles import (
     Quadrature,
     closest_material,
@@ -18,6 +19,8 @@ from mphygs.scene.particles import (
     fill,
     fill_each,
     hold_face,
+    lay_chart,
+    rods_doubled,
 )
 from mphygs.scene.slivers import merge_slivers
 from mphygs.simulate.rows import constraint_rows
@@ -110,6 +113,12 @@ class Body:
         numbered[..., 0] += np.asarray(part) * self.geometry.get("grid_width", 0)
         return numbered
 
+    def standing(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cells (C, 3), numbered over all grids, as they are on their part's, and the parts (C,)."""
+        width = self.geometry["grid_width"]
+        part = cells[:, 0] // width if width else np.zeros(len(cells), int)
+        return cells - np.stack([part * width, np.zeros_like(part), np.zeros_like(part)], axis=1), part
+
     @cached_property
     def cells_of_part(self) -> dict[int, np.ndarray]:
         """(C, 3) unique knot spans of its own grid that hold material of each part with any."""
@@ -143,7 +152,7 @@ class Body:
 
     def in_cells(self, points: np.ndarray, part: int) -> np.ndarray:
         """Points (..., 3) [m] in spacings of a part's grid, from its node 0."""
-        return (points - self.quadrature.origins[part]) / self.quadrature.spacings[part]
+        return self.quadrature.in_cells(points, part)
 
     def nearest_of(self, part: int, points: np.ndarray) -> np.ndarray:
         """The cell of a part's grid with material that is nearest to each point (M, 3) [m]."""
@@ -211,7 +220,12 @@ def discretise(
         gripped = {
             (int(p), face.axis): face.coordinate for group in faces for face in group for p in set(face.part)
         }
-        quadrature = fill_each(parts, spacing=spacing, exclude_boxes=excluded, planes=gripped)
+        charts = [
+            lay_chart(part, spacing, [f.points[f.part == p] for group in faces for f in group])
+            for p, part in enumerate(parts)
+        ]
+        charts = charts if any(chart is not None for chart in charts) else []
+        quadrature = fill_each(parts, spacing=spacing, exclude_boxes=excluded, planes=gripped, charts=charts)
     else:
         low = np.min([part.vertices.min(0) for part in parts], axis=0)
         offset = np.zeros(3)
@@ -219,7 +233,7 @@ def discretise(
             for face in group:
                 offset[face.axis] = ((face.coordinate - low[face.axis]) / spacing) % 1.0
         quadrature = fill(parts, spacing=spacing, exclude_boxes=excluded, origin_offset=offset)
-    quadrature = merge_slivers(quadrature, share=SMALLEST_SHARE)
+    quadrature = rods_doubled(merge_slivers(quadrature, share=SMALLEST_SHARE))
     centroid = np.array(
         [
             np.average(
@@ -240,7 +254,12 @@ def discretise(
     filled = quadrature.filled
     cells = np.bincount(quadrature.part, minlength=len(parts))
     thick = np.bincount(quadrature.part, filled, len(parts)) > THINNEST * cells
-    narrow = np.array([_section(quadrature.cell[quadrature.part == p]) <= NARROW for p in range(len(parts))])
+    narrow = np.array(
+        [
+            quadrature.chart(p) is None and _section(quadrature.cell[quadrature.part == p]) <= NARROW
+            for p in range(len(parts))
+        ]
+    )
     sparse = (filled < SPARSE) | narrow[quadrature.part]
     geometry = {
         "origin": quadrature.origins,
@@ -252,6 +271,7 @@ def discretise(
         "sparse": np.where(sparse & thick[quadrature.part], filled, 0.0),
         "part_count": len(parts),
     }
+    geometry.update(_curved_nodes(quadrature.charts, width))
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
     geometry.update(_surface(body, boxes, spacing))
     geometry.update(constraint_rows(body, faces, spacing))
@@ -260,6 +280,18 @@ def discretise(
         geometry["places"] = np.asarray(places, float)
         geometry["place_cell"] = body.nearest_cell(np.asarray(places, float))
     return body
+
+
+def _curved_nodes(charts: tuple[Chart | None, ...], width: int) -> dict:
+    """Where nodes stand that a chart has, numbered over all grids."""
+    curved = [(number, chart) for number, chart in enumerate(charts) if chart is not None]
+    if not curved:
+        return {}
+    nodes = [chart.nodes + [number * width, 0, 0] for number, chart in curved]
+    return {
+        "curved_node": np.concatenate(nodes).astype(np.int32),
+        "curved_position": np.concatenate([chart.control.reshape(-1, 3) for _, chart in curved]),
+    }
 
 
 def _section(cell: np.ndarray) -> int:
@@ -284,7 +316,11 @@ def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
     )
     block = block.ravel()
     centre = _centres(body, cells)
-    octant = (samples.points > centre[block]) @ np.array([4, 2, 1])
+    above = samples.points > centre[block]
+    for part, chart in enumerate(body.quadrature.charts):
+        if chart is not None and (mine := samples.part == part).any():
+            above[mine] = chart.to_cells(samples.points[mine]) > body.standing(cells[block[mine]])[0]
+    octant = above @ np.array([4, 2, 1])
     lane = block * LANES + octant
     area = np.bincount(lane, samples.area, minlength=LANES * len(cells))
     sums = [np.bincount(lane, samples.area * samples.points[:, c], minlength=len(area)) for c in range(3)]
@@ -299,10 +335,13 @@ def _surface(body: Body, boxes: np.ndarray, spacing: float) -> dict:
 
 def _centres(body: Body, cells: np.ndarray) -> np.ndarray:
     """Middle of cells (C, 3), numbered over all grids [m]."""
-    q, width = body.quadrature, body.geometry["grid_width"]
-    part = cells[:, 0] // width if width else np.zeros(len(cells), int)
-    own = cells - np.stack([part * width, np.zeros_like(part), np.zeros_like(part)], axis=1)
-    return q.origins[part] + own * q.spacings[part]
+    own, part = body.standing(cells)
+    q = body.quadrature
+    centre = q.origins[part] + own * q.spacings[part]
+    for number, chart in enumerate(q.charts):
+        if chart is not None and (mine := part == number).any():
+            centre[mine] = chart.to_space(own[mine].astype(float))
+    return centre
 
 
 def with_places(body: Body, spots: np.ndarray) -> Body:

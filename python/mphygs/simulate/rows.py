@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from mphygs.scene.particles import HoldFace, find_joints
-from mphygs.simulate.joint_constraints import tie_rows
+from mphygs.scene.particles import HoldFace, Joint, find_joints
+from mphygs.simulate.joint_constraints import patterns, tie_rows
 
 if TYPE_CHECKING:
     from mphygs.simulate.body import Body
@@ -20,7 +20,7 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
 
     On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
     is reproduced when each coefficient equals the motion of its Greville point, the column's place
-    in the plane. Below them the rows that tie the parts' grids, numbered -1, -2, ... by joint in `row_hold`.
+    in the plane; of a curved grid patterns over the face are held. Below them the rows that tie the parts' grids, numbered -1, -2, ... by joint in `row_hold`.
 
     faces: of every hold (see `hold_face`); spacing: that the grids were made for [m].
     Raises ValueError where a hold touches no free material.
@@ -33,6 +33,15 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
         rows = 0
         for face, part in ((f, p) for f in group for p in nodes_of if (f.part == p).any()):
             nodes, mine = nodes_of[part], face.part == part
+            if q.chart(part) is not None:
+                for own, values, place in _curved_hold(body, face, mine, part, spacing):
+                    node += own.tolist()
+                    weight += values.tolist()
+                    begin.append(len(weight))
+                    target.append(place)
+                    hold.append(index)
+                    rows += 1
+                continue
             across = [a for a in range(3) if a != face.axis]
             origin, size = q.origins[part], q.spacings[part]
             position = body.in_cells(face.points[mine], part)
@@ -81,6 +90,28 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
         "row_hold": np.array(hold, np.int32),
         "hold_count": len(faces),
     }
+
+
+def _curved_hold(
+    body: Body, face: HoldFace, mine: np.ndarray, part: int, spacing: float
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Nodes, weights and target of the rows by which a held face moves a part on a curved grid.
+
+    Such a grid has no plane of nodes in the face. Patterns of the displacement over it are the hold's, as
+    those of a joint's two sides are each other's: the mean, and the mean weighed with 1 and each pattern
+    more, which makes every row's weights add up to one.
+    """
+    points, area = face.points[mine], face.area[mine]
+    normal = np.tile(np.eye(3)[face.axis], (len(points), 1))
+    pattern = patterns(Joint((part, part), points, area, normal), spacing)
+    pattern[:, 1:] += pattern[:, :1]
+    factor = (area / area.sum())[:, None] * pattern / pattern[0, 0]
+    nodes, shares = _carried_by(body, points, part)
+    index, column = np.unique(nodes.reshape(-1, 3), axis=0, return_inverse=True)
+    return [
+        (index, np.bincount(column.ravel(), (each[:, None] * shares).ravel(), len(index)), each @ points)
+        for each in factor.T
+    ]
 
 
 def _ties(

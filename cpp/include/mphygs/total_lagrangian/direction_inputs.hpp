@@ -73,7 +73,7 @@ inline void TotalLagrangianDirections<T, L>::prepare_mass() {
     for (std::size_t s = 0; s < slabs_; ++s) {
         W* m = &inverse_mass_[s * stride_];
         for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
-            const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+            const MassTable<T>& table = model_.masses_[static_cast<std::size_t>(model_.table_[b])];
             W point[8];
             for (std::size_t q = 0; q < 8; ++q) {
                 point[q] = lanes(&Fields<T>::mass, s, 8 * static_cast<std::size_t>(model_.order_[b]) + q);

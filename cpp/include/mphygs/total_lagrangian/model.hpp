@@ -18,6 +18,7 @@
 #include "mphygs/physics/point_hook.hpp"
 #include "mphygs/physics/registry.hpp"
 #include "mphygs/total_lagrangian/cell_springs.hpp"
+#include "mphygs/total_lagrangian/curved_grid.hpp"
 #include "mphygs/total_lagrangian/spline_tables.hpp"
 
 namespace mphygs {
@@ -125,12 +126,15 @@ class TotalLagrangian {
     std::vector<std::int32_t> node_of_grid_;  // node number of a grid index, -1 where there is none
     std::array<int, 3> grid_shape_{};
     std::array<int, 3> grid_low_{};
+    std::vector<bool> curved_;                 // of every grid, as far as any is
+    std::vector<std::array<bool, 3>> spanned_; // of every such grid: the axes that one cell spans
     std::vector<std::int32_t> order_;          // sorted blocks -> the caller's
     std::vector<std::int32_t> surface_order_;
     std::vector<std::array<std::int32_t, 9>> rows_, surface_rows_;
     std::vector<std::int32_t> table_, surface_table_;
     std::vector<GradientTable<T>> gradients_;
     std::vector<ValueTable<T>> values_;
+    std::vector<MassTable<T>> masses_;
     std::vector<ValueTable<T>> surface_values_;
     std::vector<std::int32_t> spring_;  // of each sorted block: its springs, -1 where it has none
     std::vector<CellSprings<T>> springs_;
@@ -142,6 +146,15 @@ class TotalLagrangian {
     /// Of the matrix of implicit steps. All given must live longer.
     std::unique_ptr<MidpointColumns<T>> midpoint_columns(const Fields<T>& fields, const Schedule& schedule, Team& team) const;
     std::array<std::int32_t, 9> rows_of(const std::int32_t* cell) const;
+    bool is_curved(int i) const;  // the grid of the cell or node at i along the first axis
+    CurvedCell curved_cell(const std::int32_t* cell) const;
+    /// Where in its cell a point is, in spacings from the cell's node.
+    void in_cell(const double* point, const std::int32_t* cell, double (&s)[3]) const;
+    /// N_a and dN_a/dX there.
+    void weights_at(const double (&s)[3], const std::int32_t* cell, double (&n)[27], double (&dn)[27][3]) const;
+    void set_points(const double (&s)[8][3], const std::int32_t* cell, GradientTable<T>& gradient, ValueTable<T>& value) const;
+    MassTable<T> mass_table(const double (&s)[8][3], const std::int32_t* cell, const ValueTable<T>& value) const;
+    CellSprings<T> curved_springs(std::size_t block) const;
     int find_node(int i, int j, int k) const;
     SimulationError failure(const std::vector<T>& u, int frame, double time) const;
     std::string describe_failure(const std::vector<T>& u, std::size_t lane_offset, int frame, double time, int* part) const;

@@ -355,7 +355,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             node_mass_bar[n] = -inverse * inverse * inverse_mass_bar_[n];
         }
         for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
-            const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+            const MassTable<T>& table = model_.masses_[static_cast<std::size_t>(model_.table_[b])];
             double* to = &mass_bar_[8 * static_cast<std::size_t>(model_.order_[b])];
             for (int a = 0; a < 27; ++a) {
                 const double bar = node_mass_bar[static_cast<std::size_t>(model_.rows_[b][static_cast<std::size_t>(a / 3)] + a % 3)];

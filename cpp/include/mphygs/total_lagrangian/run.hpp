@@ -154,7 +154,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
             if (fields && !fields->mass.empty()) {
                 for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
                     const Pack<T> point = load<T>(&fields->mass[8 * static_cast<std::size_t>(model_.order_[b])]);
-                    const ValueTable<T>& table = model_.values_[static_cast<std::size_t>(model_.table_[b])];
+                    const MassTable<T>& table = model_.masses_[static_cast<std::size_t>(model_.table_[b])];
                     for (int a = 0; a < 27; ++a) {
                         m[model_.rows_[b][static_cast<std::size_t>(a / 3)] + a % 3] += sum_lanes<T>(point * table.by_node[a]);
                     }

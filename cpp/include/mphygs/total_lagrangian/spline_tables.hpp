@@ -26,6 +26,12 @@ struct ValueTable {
     alignas(64) T by_point[8][node_lanes];   // N_a of one point, nodes in the lanes
 };
 
+/// What each node is given of the eight points' masses.
+template <class T>
+struct MassTable {
+    Pack<T> by_node[27];
+};
+
 template <class T>
 struct GradientTable {
     bool common = true;                          // several blocks share it: it stays in the cache
@@ -50,7 +56,20 @@ inline void point_weights(const double s[3], const double spacing[3], double val
     }
 }
 
-/// Point q of a block, given as in `point_weights`.
+/// Point q of a block: N_a and dN_a/dX there.
+template <class T>
+inline void set_point(int q, const double (&n)[27], const double (&dn)[27][3], GradientTable<T>& gradient, ValueTable<T>& value) {
+    for (int a = 0; a < 27; ++a) {
+        value.by_node[a][q] = static_cast<T>(n[a]);
+        value.by_point[q][a / 3 * 4 + a % 3] = static_cast<T>(n[a]);
+        for (int j = 0; j < 3; ++j) {
+            gradient.by_node[a][j][q] = static_cast<T>(dn[a][j]);
+            gradient.by_point[q][j][a / 3 * 4 + a % 3] = static_cast<T>(dn[a][j]);
+        }
+    }
+}
+
+/// The same on a lattice, the point given as in `point_weights`.
 template <class T>
 inline void set_point(int q, const double s[3], const double spacing[3], GradientTable<T>& gradient, ValueTable<T>& value) {
     double n[27], dn[27][3];
@@ -62,14 +81,7 @@ inline void set_point(int q, const double s[3], const double spacing[3], Gradien
             gradient.factors.slope[c][k][q] = static_cast<T>(w.slope[k] / spacing[c]);
         }
     }
-    for (int a = 0; a < 27; ++a) {
-        value.by_node[a][q] = static_cast<T>(n[a]);
-        value.by_point[q][a / 3 * 4 + a % 3] = static_cast<T>(n[a]);
-        for (int j = 0; j < 3; ++j) {
-            gradient.by_node[a][j][q] = static_cast<T>(dn[a][j]);
-            gradient.by_point[q][j][a / 3 * 4 + a % 3] = static_cast<T>(dn[a][j]);
-        }
-    }
+    set_point(q, n, dn, gradient, value);
 }
 
 template <class T>

@@ -1,0 +1,215 @@
+"""Thin parts on curved grids: which are thin, the grids laid along them, and their quadrature points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mphygs.capture.meshes import Part
+from mphygs.scene.blocks import CORNERS, SMALLEST, Blocks, Grid, fitting, moments, spread
+from mphygs.scene.charts import Chart
+from mphygs.scene.columns import Segments, cut_axis, split_columns
+from mphygs.scene.finer_meshes import finer
+from mphygs.scene.middle_surface import chords, middle_surface
+from mphygs.scene.rays import inside
+from mphygs.scene.rod_chart import centre_line, rod_chart
+from mphygs.scene.shell_chart import shell_chart
+
+if TYPE_CHECKING:
+    from mphygs.scene.middle_surface import Chords
+    from mphygs.scene.quadrature import Quadrature
+
+# Columns to a cell that it spans alone, and pieces that a column is tested in for being held.
+_ACROSS, _PIECES = 24, 8
+# Eighth of a turn about a cell's first axis.
+_TURN = np.array([[1.0, 0.0, 0.0], [0.0, np.sqrt(0.5), np.sqrt(0.5)], [0.0, -np.sqrt(0.5), np.sqrt(0.5)]])
+# Of a cell: a hold's face that lies so evenly along a cell's boundary is made one.
+_EVEN = 0.25
+
+
+def chosen_shape(part: Part, spacing: float) -> tuple[str, str]:
+    """What a part that says "auto" is simulated as, and why, in words.
+
+    A cell is made to fit material down to `SMALLEST` of the spacing. What is thinner than that one way is a
+    shell, what is thinner than two cells the other way as well a rod.
+    """
+    if part.shape != "auto":
+        return part.shape, "as its capture says"
+    across: Chords = chords(part)
+    thickness = across.usual
+    told = f"{1e3 * thickness:.3g} mm thick, {thickness / spacing:.2g} of a cell"
+    if thickness >= SMALLEST * spacing:
+        return "solid", told
+    # The longest way along a thin part, and what its volume leaves for the third one.
+    size = np.linalg.norm(np.ptp(part.vertices, axis=0))
+    width = part.volume / (thickness * size)
+    if width < 2.0 * spacing:
+        return "rod", f"{told}, {1e3 * width:.3g} mm wide"
+    return "shell", told
+
+
+def lay_chart(part: Part, spacing: float, gripped: Sequence[np.ndarray] = ()) -> Chart | None:
+    """The curved grid of a part, or None where it is a solid.
+
+    spacing: of its cells along the part, as near to it as makes a whole number of them [m]; gripped: for each
+    hold places (n, 3) where it grips the part [m]: a boundary between cells lies there where that can be.
+    Raises ValueError where the part is not what it is to be simulated as.
+    """
+    shape = chosen_shape(part, spacing)[0]
+    if shape == "solid":
+        return None
+    chart = _rod(part, spacing, gripped) if shape == "rod" else _shell(part, spacing, gripped)
+    vertices = _finer(part, chart)
+    # What the chart left out at its thin ends is brought in: nothing may be beyond the one cell.
+    reach = 2.0 * np.abs(chart.to_cells(vertices) - 1.0)[:, 3 - chart.thin :].max(axis=0)
+    chart = replace(chart, control=_widened(chart.control, np.maximum(reach, 1e-3)))
+    chart.check(part.name)
+    return chart
+
+
+def _widened(control: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Nodes further from the middle by factors along the thin axes."""
+    middle = control[:, :, 1:2] if len(reach) == 1 else control[:, 1:2, 1:2]
+    if len(reach) == 1:
+        return middle + reach[0] * (control - middle)
+    one, two = control[:, 2:3, 1:2] - middle, control[:, 1:2, 2:3] - middle
+    step = np.array([-1.0, 0.0, 1.0])
+    return (
+        middle
+        + reach[0] * step[None, :, None, None] * one
+        + reach[1] * step[None, None, :, None] * two
+    )
+
+
+def _rod(part: Part, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
+    line = centre_line(part)
+    plane = _boundary([line.along_of(points) for points in gripped if len(points)], spacing)
+    low, size, count = fitting(line.low, line.high, spacing, plane, least=2)
+    return rod_chart(line, low, size, count)
+
+
+def _shell(part: Part, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
+    surface = middle_surface(part)
+    # Samples are as far as half their distance from the rim.
+    rim = 0.5 * np.sqrt(part.area / 2.0 / len(surface.place))
+    low, high = surface.flat.min(axis=0) - rim, surface.flat.max(axis=0) + rim
+
+    def laid(planes: Sequence[float | None]) -> tuple[Chart, np.ndarray, np.ndarray]:
+        cells = [fitting(low[a], high[a], spacing, planes[a], least=2) for a in range(2)]
+        corner, size, count = (np.array(values) for values in zip(*cells, strict=True))
+        return shell_chart(surface, corner, size, count), corner, size
+
+    chart, corner, size = laid((None, None))
+    flat = [corner + (chart.to_cells(points)[:, :2] - 0.5) * size for points in gripped if len(points)]
+    planes = [_boundary([each[:, a] for each in flat], spacing) for a in range(2)]
+    return chart if planes == [None, None] else laid(planes)[0]
+
+
+def _boundary(along: Sequence[np.ndarray], spacing: float) -> float | None:
+    """The first place along an axis where a hold's face lies evenly."""
+    return next((float(np.mean(a)) for a in along if np.std(a) < _EVEN * spacing), None)
+
+
+def _finer(part: Part, chart: Chart) -> np.ndarray:
+    """(V, 3) corners of the part's mesh and, where the chart bends, of its triangles' pieces [m]."""
+    return finer(part.vertices, part.faces, _edge(chart))[0]
+
+
+def _edge(chart: Chart) -> float:
+    """Half a cell along the chart [m]."""
+    return 0.5 * float(np.median(np.linalg.norm(np.diff(chart.control[:, 1, 1], axis=0), axis=1)))
+
+
+def fill_curved(
+    part: Part,
+    number: int,
+    count: int,
+    chart: Chart,
+    boxes: np.ndarray,
+    earlier: Sequence[Part],
+    samples: int,
+) -> Blocks:
+    """Blocks of one part on its chart, less what holds carry and earlier parts own.
+
+    number: of the part among `count`; boxes: (H, 2, 3) [m]; samples: columns per cell along the part.
+    Columns stand across the thinnest axis, and the mesh is told in cells: its heights are exact, so a
+    sheet's thickness is, whatever the columns; volumes are those of space by the chart's determinant.
+    """
+    vertices, faces = finer(part.vertices, part.faces, _edge(chart))
+    told = Part(part.name, chart.to_cells(vertices), faces)
+    x, y = (
+        cut_axis(0.5, 1.0, int(n), samples if n > 1 else _ACROSS, np.empty(0)) for n in chart.count[:2]
+    )
+    segments = split_columns([told], np.empty((0, 2, 3)), x, y)
+
+    def measure(s: np.ndarray) -> np.ndarray:
+        return np.abs(np.linalg.det(chart.jacobian(s + 0.5)))
+
+    def volume(of: Segments) -> np.ndarray:
+        middle = np.stack([x.middle[of.x], y.middle[of.y], 0.5 * (of.low + of.high)], axis=1)
+        return x.width[of.x] * y.width[of.y] * (of.high - of.low) * measure(middle - 0.5)
+
+    seen = np.zeros(count)
+    seen[number] = volume(segments).sum()
+    segments = _free(segments, chart, x.middle, y.middle, boxes, earlier)
+    grid = Grid(np.full(3, 0.5), np.ones(3), chart.count)
+    cell, _, share, mean, covariance = moments(segments, x, y, grid, measure)
+    points = cell[:, None] + 1.0 + mean[:, None] + np.einsum("kc,bac->bka", CORNERS, spread(mean, covariance))
+    placed = chart.to_space(points.reshape(-1, 3)).reshape(points.shape)
+    own = share / measure(cell + 0.5)
+    return Blocks(cell, np.full(len(cell), number), own, share, placed, seen)
+
+
+def rods_doubled(quadrature: Quadrature) -> Quadrature:
+    """Sixteen points for each cell of a rod, in two blocks: one's points, and as many turned about the rod.
+
+    Eight see too little of a section: its quarters may turn against each other without any strain at four
+    points. Both blocks have the moments of order 0, 1 and 2 of the material.
+    """
+    rods = [n for n, chart in enumerate(quadrature.charts) if chart is not None and chart.kind == "rod"]
+    mine = np.isin(quadrature.part, rods)
+    if not mine.any():
+        return quadrature
+    points, volumes = quadrature.points[mine], quadrature.volumes[mine] / 2.0
+    for number in rods:
+        own = quadrature.part[mine] == number
+        told = quadrature.in_cells(points[own], number)
+        # Half the sum and difference of two steps across, in which the eight are all signs of three.
+        mean = told.mean(axis=1, keepdims=True)
+        steps = np.einsum("qa,bqc->bac", CORNERS, told - mean) / 8.0
+        turned = mean + np.einsum("qa,bac->bqc", CORNERS @ _TURN, steps)
+        points[own] = quadrature.from_cells(turned.reshape(-1, 3), number).reshape(turned.shape)
+    both = quadrature.volumes.copy()
+    both[mine] = volumes
+    return replace(
+        quadrature,
+        cell=np.concatenate([quadrature.cell, quadrature.cell[mine]]),
+        part=np.concatenate([quadrature.part, quadrature.part[mine]]),
+        points=np.concatenate([quadrature.points, points]),
+        volumes=np.concatenate([both, volumes]),
+    )
+
+
+def _free(
+    segments: Segments, chart: Chart, x: np.ndarray, y: np.ndarray, boxes: np.ndarray, earlier: Sequence[Part]
+) -> Segments:
+    """The pieces of segments that no hold carries and no earlier part owns."""
+    if not len(boxes) and not earlier:
+        return segments
+    share = np.arange(_PIECES + 1) / _PIECES
+    cuts = segments.low[:, None] + (segments.high - segments.low)[:, None] * share
+    low, high = cuts[:, :-1].ravel(), cuts[:, 1:].ravel()
+    at_x, at_y = np.repeat(segments.x, _PIECES), np.repeat(segments.y, _PIECES)
+    place = chart.to_space(np.stack([x[at_x], y[at_y], 0.5 * (low + high)], axis=1))
+    kept = np.ones(len(place), bool)
+    for box in boxes:
+        kept &= ~((place > box[0]) & (place < box[1])).all(axis=1)
+    for other in earlier:
+        asked = np.flatnonzero(kept)
+        kept[asked] = ~inside(other, place[asked])
+    return Segments(
+        at_x[kept], at_y[kept], low[kept], high[kept], np.zeros(int(kept.sum()), int), segments.full_volume
+    )
