@@ -172,13 +172,14 @@ inline std::optional<mphygs::Observer> to_observer(const py::object& given) {
 }
 
 inline mphygs::Schedule to_schedule(const py::dict& d) {
-    reject_unknown(d, {"steps", "dt", "start", "reaction_weight", "implicit"}, "schedule");
+    reject_unknown(d, {"steps", "dt", "start", "reaction_weight", "implicit", "paired"}, "schedule");
     mphygs::Schedule s;
     s.steps = entry<int>(d, "steps");
     s.dt = entry<double>(d, "dt");
     s.start = d.contains("start") ? d["start"].cast<double>() : 0.0;
     s.reaction_weight = entry<double>(d, "reaction_weight");
     s.implicit = d.contains("implicit") && d["implicit"].cast<bool>();
+    s.paired = d.contains("paired") && d["paired"].cast<bool>();
     return s;
 }
 

@@ -82,6 +82,7 @@ struct Schedule {
     // (substeps, 2) what each counts for in the reactions at the frame before it and at the one after; none: none wanted
     std::vector<double> reaction_weight = {};
     bool implicit = false;      // by the midpoint rule, as long a step as accuracy allows; only of the total-Lagrangian transfer
+    bool paired = false;        // every second implicit substep is one of BDF2 over itself and the one before
     int total_steps() const {
         int n = 0;
         for (int s : steps) {

@@ -441,6 +441,7 @@ void TotalLagrangian<T>::check(const Fields<T>& f, const Schedule& s, const Obse
     require(s.dt.size() == frames, "the schedule needs one dt per interval");
     for (std::size_t k = 0; k < frames; ++k) {
         require(s.steps[k] > 0 && s.dt[k] > 0, "the schedule's steps and dt must be positive");
+        require(!s.paired || (s.implicit && s.steps[k] % 2 == 0), "a schedule in pairs must be implicit, with even steps");
     }
     check_body(f);
     require_size(f.node_force, 3 * node_count() * frames, true, "node_force");

@@ -83,6 +83,11 @@ class Body:
         return self.block_count
 
     @property
+    def curved(self) -> bool:
+        """Whether a part is a rod or a shell."""
+        return any(chart is not None for chart in self.quadrature.charts)
+
+    @property
     def held_points(self) -> np.ndarray:
         """(R, 3) places on the faces where holds grip [m]."""
         return self.geometry["row_target"][self.geometry["row_hold"] >= 0]

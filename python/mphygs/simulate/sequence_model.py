@@ -173,6 +173,7 @@ class SequenceModel:
             late=lateness(belief),
             first=start.frame if start is not None else 0 if measured_start else None,
             implicit=self.implicit(belief),
+            paired=self.body.curved,
         )
 
     def schedule(self, timeline: Timeline) -> dict:

@@ -65,11 +65,13 @@ def timeline_of(
     late: float = 0.0,
     first: int | None = None,
     implicit: bool = False,
+    paired: bool = False,
 ) -> Timeline:
     """Frames 0..last-1 and the substeps between them; motion starts at the release.
 
     substep: longest [s]; late: how much later than stated every frame was taken [s]; first: a frame in
-    mid-motion to begin at instead, whose state is given; implicit: whether the substeps are implicit.
+    mid-motion to begin at instead, whose state is given; implicit: whether the substeps are implicit;
+    paired: and an even number in each span.
     Raises SimulationError where too many substeps, or none, cover the frames: a model stiff without bound.
     """
     fps, release = recording.fps, recording.release
@@ -93,9 +95,12 @@ def timeline_of(
             f"{spans.sum():.3g} s"
         )
     steps = np.maximum(np.ceil(spans / substep - 1e-9), 1).astype(np.int32)
+    if implicit and paired:
+        steps += steps % 2
     schedule = {"steps": steps, "dt": spans / np.maximum(steps, 1), "start": start}
     if implicit:
         schedule["implicit"] = True
+        schedule["paired"] = paired
     return Timeline(frames, clock, moving, schedule, times, resting, skipped)
 
 

@@ -166,8 +166,8 @@ inline void TotalLagrangianDirections<T, L>::hold(int n, int frame, double dt, b
     if (rows == 0) {
         return;
     }
-    const double give = aimed ? value_.impulses() : 0.0, rate = 1.0 / dt;
-    const double softness = value_.softness(dt, aimed);
+    const double give = aimed ? value_.rule(n).give() : 0.0, rate = 1.0 / dt;
+    const double softness = value_.softness(n, dt, aimed);
     const std::vector<double>& lambda = value_.lambda_rows_;
     if (!inverse_mass_.empty()) {
         reaction_.assign(rows * 4, 0.0);
@@ -250,13 +250,13 @@ inline void TotalLagrangianDirections<T, L>::react(int n, int frame, std::size_t
     const std::vector<double> turn = value_.turns(0, n);
     std::vector<double> own(3 * rows), turned(turn.size()), of_values = value_.lambda_rows_;
     for (double& x : of_values) {
-        x *= value_.impulses();
+        x *= value_.rule(n).impulses;
     }
     for (std::size_t l = 0; l < width && slab * width + l < directions_.size(); ++l) {
         const std::size_t k = slab * width + l;
         for (std::size_t c = 0; c < 3; ++c) {
             for (std::size_t r = 0; r < rows; ++r) {
-                own[c * rows + r] = value_.impulses() * impulse_[r * N + c * width + l];
+                own[c * rows + r] = value_.rule(n).impulses * impulse_[r * N + c * width + l];
             }
         }
         sums_.add(k, n, frame, own.data(), turn.data());

@@ -43,11 +43,12 @@ inline void TotalLagrangianDirections<T, L>::still_without_mass() {
 /// The derivative of the midpoint's map along changes x of its velocity and along the directions, left in the velocity.
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd& x, int n, int frame, double middle, double dt, bool last) {
-    const T half = static_cast<T>(0.5 * dt);
+    const SubstepRule rule = value_.rule(n);
+    const double span = rule.span * dt;
     const bool pulls = value_.observer_ && value_.pulling_;
     enter(x);
     for (std::size_t i = 0; i < v_.size(); ++i) {
-        u_[i] = u0_[i] + half * v_[i];
+        u_[i] = u0_[i] + static_cast<T>(span) * v_[i];
     }
     history_ = history0_;
     for (std::size_t a = 0; a < added_.size(); ++a) {
@@ -61,20 +62,20 @@ inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd&
     actuate(n, frame, dt);
     if (pulls) {
         ask(n, frame, dt);
-        spread_pulls(0.5 * dt);
+        spread_pulls(span);
     }
     const std::vector<W> before = v_;
-    accelerate(middle, 0.5 * dt);
+    accelerate(middle, span);
     if (pulls) {
         add_pulls();
     }
-    lighten(0.5 * dt);
+    lighten(span);
     for (std::size_t i = 0; i < v_.size(); ++i) {
         v_[i] = v0_[i] + (v_[i] - before[i]);
     }
     u_ = u0_;
     still_without_mass();
-    hold(n, frame, dt, true, last);
+    hold(n, frame, rule.reach * dt, true, last);
 }
 
 /// The largest share by which a direction changes a modulus or a volume.
@@ -97,9 +98,18 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     value_.solve_midpoint(n, frame, time, dt);
     value_.stand_at_middle();
     MidpointState<T>& m = *value_.midpoint_;
-    const double middle = time + 0.5 * dt;
+    const SubstepRule rule = value_.rule(n);
+    const double middle = time + rule.at * dt;
     u0_ = u_;
     v0_ = v_;
+    for (std::size_t i = 0; rule.second && i < u_.size(); ++i) {
+        u0_[i] = (T(4) * u_[i] - past_u_[i]) / T(3);
+        v0_[i] = (T(4) * v_[i] - past_v_[i]) / T(3);
+    }
+    if (schedule_.paired && !rule.second) {
+        past_u_ = u_;
+        past_v_ = v_;
+    }
     history0_ = history_;
     refresh(middle, dt);
     added0_ = added_;
@@ -138,7 +148,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
                                   " (t = " + std::to_string(time) + " s)");
         }
         if (i == patience && !fresh) {
-            m.refresh(middle, dt);
+            m.refresh(middle, dt, rule.span * dt);
             fresh = true;
             for (Anderson& a : mixed) {
                 a.forget();
@@ -146,8 +156,16 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
         }
     }
     m.stale = m.stale || i > slow_step;
-    const T h = static_cast<T>(dt);
     enter(x);
+    if (rule.second) {
+        still_without_mass();
+        for (std::size_t k = 0; k < v_.size(); ++k) {
+            u_[k] = u0_[k] + static_cast<T>(rule.span * dt) * v_[k];
+        }
+        value_.finish_midpoint(n, frame, dt);
+        return;
+    }
+    const T h = static_cast<T>(dt);
     const std::vector<W> mean = v_;
     for (std::size_t k = 0; k < v_.size(); ++k) {
         v_[k] = T(2) * mean[k] - v0_[k];
@@ -164,7 +182,8 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
 /// Columns of the implicit step's matrix: A e = M (e - B e), of as many colours at a time as there are directions.
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::columns(const std::vector<T>& displacement, const std::vector<T>& velocity,
-                                                     const std::vector<Pack<T>>& history, double time, double dt, MidpointMatrix& to) {
+                                                     const std::vector<Pack<T>>& history, double time, double dt, double span,
+                                                     MidpointMatrix& to) {
     value_.u_ = displacement;
     value_.v_ = velocity;
     value_.history_ = history;
@@ -182,13 +201,13 @@ inline void TotalLagrangianDirections<T, L>::columns(const std::vector<T>& displ
         }
         enter(x);
         for (std::size_t i = 0; i < v_.size(); ++i) {
-            u_[i] = static_cast<T>(0.5 * dt) * v_[i];
+            u_[i] = static_cast<T>(span) * v_[i];
         }
         std::fill(history_.begin(), history_.end(), W{});
         team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
         reduce_forces();
         place_forces(time);
-        accelerate(time, 0.5 * dt);
+        accelerate(time, span);
         const Eigen::MatrixXd after = velocities();
         for (std::size_t k = first; k < last; ++k) {
             const Eigen::Index column = static_cast<Eigen::Index>(k - first);
@@ -208,8 +227,8 @@ class DirectionColumns : public MidpointColumns<T> {
     DirectionColumns(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule, Team& team)
         : run_(model, fields, std::vector<const Fields<T>*>(3 * L, &none_), {}, nullptr, nullptr, 0, schedule, team) {}
     void fill(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time, double dt,
-              MidpointMatrix& to) override {
-        run_.columns(displacement, velocity, history, time, dt, to);
+              double span, MidpointMatrix& to) override {
+        run_.columns(displacement, velocity, history, time, dt, span, to);
     }
 
   private:

@@ -98,7 +98,7 @@ class TotalLagrangianDirections {
     const TotalLagrangianRun<T, 0>& value() const { return value_; }
     /// See `MidpointColumns`.
     void columns(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time,
-                 double dt, MidpointMatrix& to);
+                 double dt, double span, MidpointMatrix& to);
 
     bool finite() const {
         const T* numbers[2] = {reinterpret_cast<const T*>(u_.data()), reinterpret_cast<const T*>(v_.data())};
@@ -452,6 +452,7 @@ class TotalLagrangianDirections {
     bool rate_ = false, surface_ = false, volume_added_ = false;
     std::vector<W> u_, v_, f_;                          // slab, node, component
     std::vector<W> u0_, v0_, history0_;                 // at the start of an implicit step
+    std::vector<W> past_u_, past_v_;                    // at the start of a pair of them
     int aimed_ = -1;                                    // output interval whose targets are in aims_
     std::vector<W> aims_;                               // slab, channel, power, component; empty where no direction has any
     std::vector<W> blend_;                              // stiffness u + damping v of what channels read, (carriers, 3)

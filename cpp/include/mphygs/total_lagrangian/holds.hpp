@@ -12,8 +12,8 @@ inline void TotalLagrangianRun<T, K>::hold_lanes(int n, double dt, bool aimed) {
     const Constraint& constraint = constraint_[0];
     const Geometry& g = model_.geometry_;
     const std::size_t rows = constraint.row_count(), nodes = constraint.nodes().size();
-    const double give = aimed ? impulses() : 0.0, rate = 1.0 / dt;
-    const double softness = this->softness(dt, aimed);
+    const double give = aimed ? rule(n).give() : 0.0, rate = 1.0 / dt;
+    const double softness = this->softness(n, dt, aimed);
     held_.assign(nodes * N, 0.0);
     missed_.assign(rows * N, 0.0);
     impulse_.assign(rows * N, 0.0);

@@ -57,12 +57,12 @@ inline void TotalLagrangianRun<T, K>::by_component(const Eigen::VectorXd& from, 
 template <class T, int K>
 inline void TotalLagrangianRun<T, K>::midpoint_map(const Eigen::VectorXd& x, int n, int frame, double time, double dt) {
     MidpointState<T>& m = *midpoint_;
-    const T half = static_cast<T>(0.5 * dt);
-    const double middle = time + 0.5 * dt;
+    const SubstepRule rule = this->rule(n);
+    const double span = rule.span * dt, middle = time + rule.at * dt;
     by_component(x, m.middle);
     m.place.resize(size_);
     for (std::size_t i = 0; i < size_; ++i) {
-        m.place[i] = m.u0[i] + half * m.middle[i];
+        m.place[i] = m.u0[i] + static_cast<T>(span) * m.middle[i];
     }
     stand_at_middle();
     refresh_uniforms(middle, dt);
@@ -73,9 +73,9 @@ inline void TotalLagrangianRun<T, K>::midpoint_map(const Eigen::VectorXd& x, int
     known_forces(frame);
     actuate(index(frame), target_basis(n, frame, dt).value, n);
     if (ask(n, frame, dt)) {
-        spread_pulls(0.5 * dt);
+        spread_pulls(span);
     }
-    update_nodes(middle, 0.5 * dt);
+    update_nodes(middle, span);
     add_pulls();
     m.history1 = history_;
     u_ = m.u0;
@@ -83,7 +83,7 @@ inline void TotalLagrangianRun<T, K>::midpoint_map(const Eigen::VectorXd& x, int
         v_[i] = inverse_mass_[i % stride_] == T{} ? T{} : m.v0[i] + (v_[i] - m.middle[i]);
     }
     if (constraint_[0].row_count() > 0) {
-        hold_lanes<0, 1>(n, dt);
+        hold_lanes<0, 1>(n, rule.reach * dt);
     }
 }
 
@@ -101,8 +101,18 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     constexpr int most = 60, patience = 20, slow_step = 12, halvings = 10;
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
+    const SubstepRule rule = this->rule(n);
+    m.take(rule.second);
     m.u0 = u_;
     m.v0 = v_;
+    for (std::size_t i = 0; rule.second && i < size_; ++i) {
+        m.u0[i] = (T(4) * u_[i] - past_u_[i]) / T(3);
+        m.v0[i] = (T(4) * v_[i] - past_v_[i]) / T(3);
+    }
+    if (schedule_.paired && !rule.second) {
+        past_u_ = u_;
+        past_v_ = v_;
+    }
     m.history0 = history_;
     m.mixed.forget();
     Eigen::VectorXd x = by_node(v_), best = Eigen::VectorXd::Zero(x.size());
@@ -118,7 +128,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         const Eigen::VectorXd rest = by_node(v_) - x;
         bool good = rest.allFinite();
         if (good && (m.stale || !m.factors_serve(dt))) {
-            m.refresh(time + 0.5 * dt, dt);
+            m.refresh(time + rule.at * dt, dt, rule.span * dt);
             fresh = true;
         }
         const Eigen::VectorXd d = good ? Eigen::VectorXd(m.matrix.solve(rest)) : rest;
@@ -140,7 +150,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
             continue;
         }
         if ((slow || i == patience) && !fresh) {
-            m.refresh(time + 0.5 * dt, dt);
+            m.refresh(time + rule.at * dt, dt, rule.span * dt);
             fresh = true;
             m.mixed.forget();
             before = std::numeric_limits<double>::infinity();
@@ -163,6 +173,24 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
 template <class T, int K>
 inline void TotalLagrangianRun<T, K>::finish_midpoint(int n, int frame, double dt) {
     MidpointState<T>& m = *midpoint_;
+    const SubstepRule rule = this->rule(n);
+    const auto tell = [&] {
+        std::vector<double> impulse = m.impulse;
+        for (double& x : impulse) {
+            x *= rule.impulses;
+        }
+        sums_.add(0, n, frame, impulse.data(), turns(0, n).data());
+    };
+    m.ahead = by_node(m.middle) - by_node(m.v0);
+    history_ = m.history1;
+    if (rule.second) {
+        v_ = m.middle;
+        u_ = m.place;
+        if (constraint_[0].row_count() > 0 && sums_.wanted()) {
+            tell();
+        }
+        return;
+    }
     const T h = static_cast<T>(dt);
     for (std::size_t i = 0; i < size_; ++i) {
         v_[i] = inverse_mass_[i % stride_] == T{} ? T{} : T(2) * m.middle[i] - m.v0[i];
@@ -171,18 +199,12 @@ inline void TotalLagrangianRun<T, K>::finish_midpoint(int n, int frame, double d
     if (constraint_[0].row_count() > 0) {
         hold_lanes<0, 1>(n, dt, false);
         if (sums_.wanted()) {
-            std::vector<double> impulse = m.impulse;
-            for (double& x : impulse) {
-                x *= 2;
-            }
-            sums_.add(0, n, frame, impulse.data(), turns(0, n).data());
+            tell();
         }
     }
     for (std::size_t i = 0; i < size_; ++i) {
         u_[i] = m.u0[i] + h * m.middle[i];
     }
-    history_ = m.history1;
-    m.ahead = by_node(m.middle) - by_node(m.v0);
 }
 
 }  // namespace mphygs

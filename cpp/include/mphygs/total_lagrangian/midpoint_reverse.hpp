@@ -11,23 +11,32 @@ template <class T>
 inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 100, patience = 25, slow_step = 8;
-    const double dt = step_dt_[index(n)], middle = step_time_[index(n)] + 0.5 * dt;
-    const T h = static_cast<T>(dt), half = static_cast<T>(0.5 * dt);
+    const SubstepRule rule = run_.rule(n);
+    const double dt = step_dt_[index(n)], middle = step_time_[index(n)] + rule.at * dt;
+    const T h = static_cast<T>(dt), span = static_cast<T>(rule.span * dt);
     MidpointState<T>& m = *run_.midpoint_;
+    m.take(rule.second);
+    const std::vector<T>& begin = rule.second ? r.begin_u : r.u;
     m.history0 = r.history;
     m.middle = r.middle;
     for (std::size_t i = 0; i < run_.size_; ++i) {
-        m.place[i] = r.u[i] + half * r.middle[i];
+        m.place[i] = begin[i] + span * r.middle[i];
     }
     run_.stand_at_middle();
-    // u_n+1 = u_n + h v_m, v_n+1 = 2 v_m - v_n but where the holds prescribe it
     const std::vector<T> end = ubar_;
     still_without_mass();
     std::fill(ubar_.begin(), ubar_.end(), T{});
-    reverse_hold(n, r, r.prescribed, dt, false);
-    std::vector<T> wanted(run_.size_), reflected = vbar_;
-    for (std::size_t i = 0; i < run_.size_; ++i) {
-        wanted[i] = h * (end[i] - ubar_[i]) + T(2) * reflected[i];
+    std::vector<T> wanted(run_.size_), reflected(run_.size_);
+    if (rule.second) {  // u_n+1 = u* + span v, v_n+1 = v
+        for (std::size_t i = 0; i < run_.size_; ++i) {
+            wanted[i] = span * end[i] + vbar_[i];
+        }
+    } else {  // u_n+1 = u_n + h v_m, v_n+1 = 2 v_m - v_n but where the holds prescribe it
+        reverse_hold(n, r, r.prescribed, dt, false);
+        reflected = vbar_;
+        for (std::size_t i = 0; i < run_.size_; ++i) {
+            wanted[i] = h * (end[i] - ubar_[i]) + T(2) * reflected[i];
+        }
     }
     const Eigen::VectorXd b = run_.by_node(wanted);
     const std::vector<Pack<T>> history_bar = history_bar_;
@@ -40,19 +49,19 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         vbar_ = eta;
         std::fill(ubar_.begin(), ubar_.end(), T{});
         history_bar_ = history_bar;
-        reverse_hold(n, r, r.reactions, dt, true);
+        reverse_hold(n, r, r.reactions, rule.reach * dt, true);
         still_without_mass();
         start = vbar_;
         kept = ubar_;
-        reverse_accelerations(n, r, middle, dt, 0.5 * dt);
+        reverse_accelerations(n, r, middle, dt, rule.span * dt);
         std::vector<T> sum(run_.size_);
         for (std::size_t i = 0; i < run_.size_; ++i) {
-            sum[i] = wanted[i] + half * (ubar_[i] - kept[i]) + (vbar_[i] - start[i]);
+            sum[i] = wanted[i] + span * (ubar_[i] - kept[i]) + (vbar_[i] - start[i]);
         }
         return run_.by_node(sum);
     };
     if (!m.factors_serve(dt)) {
-        m.refresh(middle, dt);
+        m.refresh(middle, dt, rule.span * dt);
     }
     if (trial_.of.empty()) {
         trial_ = this->sums_like_own();
@@ -78,7 +87,7 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
             throw SimulationError("the adjoint of the implicit step does not converge at t = " + std::to_string(step_time_[index(n)]) + " s");
         }
         if (i == patience && !fresh) {
-            m.refresh(middle, dt);
+            m.refresh(middle, dt, rule.span * dt);
             fresh = true;
             mixed.forget();
         }
@@ -92,6 +101,21 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
     for (std::size_t k = 0; k < run_.size_; ++k) {
         ubar_[k] += end[k];
         vbar_[k] = start[k] - reflected[k];
+    }
+    if (rule.second) {  // u* = (4 u_n - u_n-1) / 3, v* likewise
+        past_u_bar_.resize(run_.size_);
+        past_v_bar_.resize(run_.size_);
+        for (std::size_t k = 0; k < run_.size_; ++k) {
+            past_u_bar_[k] = ubar_[k] / T(-3);
+            past_v_bar_[k] = vbar_[k] / T(-3);
+            ubar_[k] *= T(4) / T(3);
+            vbar_[k] *= T(4) / T(3);
+        }
+    } else if (schedule_.paired) {
+        for (std::size_t k = 0; k < run_.size_; ++k) {
+            ubar_[k] += past_u_bar_[k];
+            vbar_[k] += past_v_bar_[k];
+        }
     }
 }
 

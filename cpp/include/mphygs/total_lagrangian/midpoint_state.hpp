@@ -17,8 +17,9 @@ class MidpointColumns {
   public:
     virtual ~MidpointColumns() = default;
     /// At a displacement and a velocity (component, node, padded), from what the effects remember; time: at the middle.
+    /// span: of the rule [s].
     virtual void fill(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time,
-                      double dt, MidpointMatrix& to) = 0;
+                      double dt, double span, MidpointMatrix& to) = 0;
 };
 
 /// When an iteration is at its end. Shares are of what moves; a correction is never asked to be below what round-off leaves
@@ -47,11 +48,23 @@ struct MidpointState {
     double factors_dt = 0;                     // step that the factors belong to [s], 0: there are none
     bool stale = true;                         // whether the next step needs factors of its own
 
+    /// Factors of the first or the second kind of substep from here on, each kept while the other is used.
+    void take(bool second) {
+        if (second != second_) {
+            if (!other_) {
+                other_ = std::make_unique<Factors>(Factors{matrix, 0.0, true});
+            }
+            std::swap(matrix, other_->matrix);
+            std::swap(factors_dt, other_->dt);
+            std::swap(stale, other_->stale);
+            second_ = second;
+        }
+    }
     /// Whether the factors serve for a step: they lead to the solution of one that is nearly as long.
     bool factors_serve(double dt) const { return std::abs(factors_dt - dt) < 0.05 * dt; }
     /// Factors of the matrix at the middle as it stands.
-    void refresh(double time, double dt) {
-        columns->fill(place, middle, history0, time, dt, matrix);
+    void refresh(double time, double dt, double span) {
+        columns->fill(place, middle, history0, time, dt, span, matrix);
         if (!matrix.factorise()) {
             throw SimulationError("the implicit step's matrix is singular at t = " + std::to_string(time) +
                                   " s: the material has inverted, or a load softens it without bound");
@@ -59,6 +72,15 @@ struct MidpointState {
         factors_dt = dt;
         stale = false;
     }
+
+  private:
+    struct Factors {
+        MidpointMatrix matrix;
+        double dt;
+        bool stale;
+    };
+    std::unique_ptr<Factors> other_;
+    bool second_ = false;
 };
 
 }  // namespace mphygs

@@ -20,6 +20,8 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         // the velocity at the end what the holds prescribe.
         std::vector<T> middle = {};
         std::vector<double> prescribed = {};
+        // Of pairs: the state at a pair's start, and what the second of it begins from.
+        std::vector<T> past_u = {}, past_v = {}, begin_u = {}, begin_v = {};
     };
 
     TotalLagrangianReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
@@ -40,20 +42,27 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
 
     Fields<T> gradient(const Progress& progress, long* recomputed) {
         const int steps = schedule_.total_steps();
-        const std::size_t state_bytes = 2 * run_.size_ * sizeof(T) + run_.history_.size() * sizeof(Pack<T>);
+        const std::size_t state_bytes = (schedule_.paired ? 4 : 2) * run_.size_ * sizeof(T) + run_.history_.size() * sizeof(Pack<T>);
         const std::size_t record_bytes =
-            state_bytes + (schedule_.implicit ? 2 : 1) * (run_.size_ * sizeof(T) + run_.lambda_rows_.size() * sizeof(double));
+            state_bytes + (schedule_.paired ? 4 : schedule_.implicit ? 2 : 1) * (run_.size_ * sizeof(T) + run_.lambda_rows_.size() * sizeof(double));
         const auto forward = [&](int n) {
             run_.step(n, step_frame_[index(n)], step_time_[index(n)], step_dt_[index(n)]);
             if (n + 1 == steps || step_frame_[index(n + 1)] != step_frame_[index(n)]) {
                 stop_if_unstable(step_frame_[index(n)] + 1, step_time_[index(n)] + step_dt_[index(n)]);
             }
         };
-        const auto save = [&] { return Record{run_.u_, run_.v_, {}, run_.history_, {}}; };
+        const auto save = [&] {
+            Record r{run_.u_, run_.v_, {}, run_.history_, {}};
+            r.past_u = run_.past_u_;
+            r.past_v = run_.past_v_;
+            return r;
+        };
         const auto restore = [&](const Record& r) {
             run_.u_ = r.u;
             run_.v_ = r.v;
             run_.history_ = r.history;
+            run_.past_u_ = r.past_u;
+            run_.past_v_ = r.past_v;
             if (run_.midpoint_) {
                 run_.midpoint_->ahead.resize(0);
             }
@@ -65,6 +74,10 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             r.reactions = run_.lambda_rows_;
             if (schedule_.implicit) {
                 r.middle = run_.midpoint_->middle;
+                if (run_.rule(n).second) {
+                    r.begin_u = run_.midpoint_->u0;
+                    r.begin_v = run_.midpoint_->v0;
+                }
                 r.reactions = run_.midpoint_->impulse;
                 r.prescribed = run_.lambda_rows_;
             }
@@ -223,12 +236,9 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
         for (std::size_t i = 0; i < loads.poses.size(); ++i) {
             double* to = &pose_bar_[run_.pose_at(i / 12, n) + i % 12];
-            if (schedule_.implicit) {
-                to[0] += 0.5 * loads.poses[i];
-                to[12] += 0.5 * loads.poses[i];
-            } else {
-                *to += loads.poses[i];
-            }
+            const double at = run_.rule(n).at;
+            to[0] += (1.0 - at) * loads.poses[i];
+            to[12] += at * loads.poses[i];
         }
     }
 
@@ -257,8 +267,8 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             return;
         }
         const Geometry& g = model_.geometry_;
-        const double give = aimed ? run_.impulses() : 0.0;
-        const double softness = run_.softness(dt, aimed);
+        const double give = aimed ? run_.rule(n).give() : 0.0;
+        const double softness = run_.softness(n, dt, aimed);
         const std::size_t pose_steps = static_cast<std::size_t>(schedule_.total_steps()) + 1;
         const std::vector<std::int32_t>& nodes = constraint.nodes();
         constexpr int N = 4;  // the components, in a whole pack
@@ -326,7 +336,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         const std::vector<double> turn = run_.turns(0, n);
         std::vector<double> impulse_bar(3 * rows, 0.0), turn_bar(9 * holds, 0.0);
         for (std::size_t side = 0; side < 2; ++side) {
-            const double share = run_.impulses() * schedule_.reaction_weight[2 * index(n) + side] / step_dt_[index(n)];
+            const double share = run_.rule(n).impulses * schedule_.reaction_weight[2 * index(n) + side] / step_dt_[index(n)];
             add_wrench_bars(g, r.reactions.data(), turn.data(), share, &bar_.reaction[(frame + side) * holds * wrench_size],
                             impulse_bar.data(), turn_bar.data());
         }
@@ -408,6 +418,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     using Forces::pose_bar_, Forces::reverse_body, Forces::reverse_chunk, Forces::reverse_hook, Forces::reverse_places;
     using Forces::history_bar_, Forces::hook_answer_, Forces::hook_told_, Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;
 
+    std::vector<T> past_u_bar_, past_v_bar_;  // of the state at the start of the pair that is being reversed
     const Schedule& schedule_;
     const Trajectory<T>& bar_;
     std::vector<double> step_time_, step_dt_;

@@ -11,6 +11,7 @@
 #include "mphygs/physics/reaction.hpp"
 #include "mphygs/total_lagrangian/forces.hpp"
 #include "mphygs/total_lagrangian/midpoint_state.hpp"
+#include "mphygs/total_lagrangian/substep_rule.hpp"
 
 namespace mphygs {
 
@@ -276,7 +277,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     /// Where a substep stands in the targets of its output interval.
     TargetBasis target_basis(int n, int frame, double dt) const {
         const std::size_t f = static_cast<std::size_t>(frame);
-        return {n - first_step_[f], schedule_.steps[f], dt, schedule_.implicit ? 0.5 : 0.0};
+        return {n - first_step_[f], schedule_.steps[f], dt, rule(n).at};
     }
 
     /// What the observer's channels ask for at the start of a substep [m/s^2]; whether there is anything.
@@ -363,8 +364,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
         const std::size_t holds = step < 0 || fields.pose.empty() ? 0 : static_cast<std::size_t>(model_.geometry_.hold_count);
         for (std::size_t i = 0; i < 12 * holds; ++i) {
             const std::size_t from = pose_at(i / 12, step) + i % 12;
-            const double now = static_cast<double>(fields.pose[from]);
-            loads.poses.push_back(schedule_.implicit ? 0.5 * (now + static_cast<double>(fields.pose[from + 12])) : now);
+            const double now = static_cast<double>(fields.pose[from]), at = rule(step).at;
+            loads.poses.push_back((1.0 - at) * now + at * static_cast<double>(fields.pose[from + 12]));
         }
     }
 
@@ -493,12 +494,11 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     void hold_lanes(int n, double dt, bool aimed = true);
     /// Of the holds in the constraint's terms [1/kg], infinite where only what moves a hold's rows against each other counts:
     /// a hold that gives way has a velocity of its own.
-    double softness(double dt, bool aimed) const {
+    double softness(int n, double dt, bool aimed) const {
         const double give = static_cast<double>(lane_of(compliance_, 0));
-        return aimed ? impulses() * give / (dt * dt) : give > 0.0 ? 1e100 : 0.0;
+        return aimed ? rule(n).give() * give / (dt * dt) : give > 0.0 ? 1e100 : 0.0;
     }
-    /// Parts of a substep's impulse that a hold's rows are solved for: an implicit step's middle has half of it.
-    double impulses() const { return schedule_.implicit ? 2.0 : 1.0; }
+    SubstepRule rule(int n) const { return SubstepRule::of(schedule_, n); }
 
     // See `midpoint.hpp`.
     void prepare_midpoint();
@@ -525,6 +525,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     std::vector<double> held_, missed_, impulse_, pull_;  // of the hold's work: (nodes or rows, columns)
     ReactionSums sums_;
     std::unique_ptr<MidpointState<T>> midpoint_;  // of implicit steps
+    std::vector<T> past_u_, past_v_;              // at the start of a pair of them
     std::vector<Constraint> constraint_;  // one, built after the masses are known
 };
 
