@@ -5,7 +5,8 @@
 // where a are the accelerations of an explicit substep, effects, loads and observer among them, and hold is what the holds
 // leave of a velocity: C (u_n + h v_m) = hold at n+1. Of v_n+1 the part that the holds prescribe is the hold's mean velocity
 // in the step: reflected at the middle it would change its sign from step to step. Nothing that follows depends on it.
-// Newton's method with old factors, made faster by Anderson's; the factors are made anew where it gets slow.
+// Newton's method with old factors, made faster by Anderson's. Where a correction does not get smaller the factors are made
+// anew at the best velocity so far, and where they are its own, its step is halved until it does (Deuflhard's natural test).
 #pragma once
 
 #include "mphygs/total_lagrangian/holds.hpp"
@@ -98,7 +99,8 @@ inline void TotalLagrangianRun<T, K>::stand_at_middle() {
 template <class T, int K>
 inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
-    constexpr int most = 60, patience = 20, slow_step = 12, halvings = 10;
+    constexpr int most = 80, patience = 20, slow_step = 12;
+    constexpr double shortest = 1e-3;
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
     const SubstepRule rule = this->rule(n);
@@ -115,52 +117,65 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     }
     m.history0 = history_;
     m.mixed.forget();
-    Eigen::VectorXd x = by_node(v_), best = Eigen::VectorXd::Zero(x.size());
+    const double spread = m.matrix.size(by_node(u_)) + model_.geometry_.spacing[0], infinite = std::numeric_limits<double>::infinity();
+    Eigen::VectorXd x = by_node(v_), best = Eigen::VectorXd::Zero(x.size()), way = x;
     if (m.ahead.size() > 0) {
         x += m.ahead;
     }
-    const double spread = m.matrix.size(by_node(u_)) + model_.geometry_.spacing[0];
-    double before = std::numeric_limits<double>::infinity();
-    bool fresh = false;
-    int halved = 0;
+    double least = infinite, share = 1.0;  // size of the correction at the best velocity so far; share of it that was gone
+    bool own = false;                      // whether the factors were made there
+    const auto rest_at = [&](const Eigen::VectorXd& at) -> Eigen::VectorXd {
+        midpoint_map(at, n, frame, time, dt);
+        return by_node(v_) - at;
+    };
+    const auto refresh = [&] { m.refresh(time + rule.at * dt, dt, rule.span * dt); };
     for (int i = 0; i < most; ++i) {
-        midpoint_map(x, n, frame, time, dt);
-        const Eigen::VectorXd rest = by_node(v_) - x;
-        bool good = rest.allFinite();
+        Eigen::VectorXd d = rest_at(x);
+        bool good = d.allFinite(), here = false;
         if (good && (m.stale || !m.factors_serve(dt))) {
-            m.refresh(time + rule.at * dt, dt, rule.span * dt);
-            fresh = true;
+            refresh();
+            here = true;
         }
-        const Eigen::VectorXd d = good ? Eigen::VectorXd(m.matrix.solve(rest)) : rest;
+        if (good) {
+            d = m.matrix.solve(d);
+        }
         const double size = dt * m.matrix.size(d), moves = dt * m.matrix.size(x);
         good = good && std::isfinite(size);
-        const bool slow = !good || size > 0.9 * before;
+        const bool better = good && size <= (1.0 - 0.1 * share) * least;
         if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
-                     (slow && size <= Tolerance::loose * moves + (fresh ? 3 : 1) * Tolerance::noise_loose * spread))) {
+                     (!better && size <= Tolerance::loose * moves + (own ? 3 : 1) * Tolerance::noise_loose * spread))) {
             m.stale = m.stale || i > slow_step;
             m.impulse = lambda_rows_;
             return;
         }
-        if (!good || (slow && fresh)) {
-            if (++halved > halvings) {
+        if (better) {
+            best = x;
+            way = d;
+            least = size;
+            own = here;
+            if (share == 1.0 && i != patience) {
+                x = m.mixed.next(x, d);
+                continue;
+            }
+        } else if (least == infinite) {  // nothing serves yet: towards standing still
+            x *= 0.5;
+            continue;
+        }
+        m.mixed.forget();
+        if (own && !better) {
+            share *= 0.5;
+            if (share < shortest) {
                 break;
             }
-            x = 0.5 * (best + x);
-            m.mixed.forget();
-            continue;
+        } else if (!own) {  // Newton's own step from the best there is
+            const Eigen::VectorXd rest = rest_at(best);
+            refresh();
+            way = m.matrix.solve(rest);
+            least = dt * m.matrix.size(way);
+            own = true;
+            share = 1.0;
         }
-        if ((slow || i == patience) && !fresh) {
-            m.refresh(time + rule.at * dt, dt, rule.span * dt);
-            fresh = true;
-            m.mixed.forget();
-            before = std::numeric_limits<double>::infinity();
-            best = x;
-            x += m.matrix.solve(rest);
-            continue;
-        }
-        before = size;
-        best = x;
-        x = m.mixed.next(x, d);
+        x = best + share * way;
     }
     SimulationError error("the implicit step of " + std::to_string(dt) + " s does not converge before output frame " +
                           std::to_string(frame + 1) + " (t = " + std::to_string(time) +
