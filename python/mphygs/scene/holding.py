@@ -13,8 +13,10 @@ from mphygs.scene.rays import checked_boxes, inside
 if TYPE_CHECKING:
     from mphygs.capture.format import Part
 
-# So many at least across what is thin: a sheet that is gripped may not turn about the line of its grip.
-SAMPLES_PER_SPACING, FEWEST = 6, 4
+# A sheet has so many across its thickness: where it is gripped it may not turn about the line of its grip.
+SAMPLES_PER_SPACING, ACROSS = 6, 4
+# Points on one part's section.
+_MOST = 1 << 20
 # How far to either side of the face there must be material, in spacings.
 _PROBE = 1e-3
 
@@ -38,7 +40,8 @@ def hold_face(
 ) -> list[HoldFace]:
     """Cross-sections of the union of the parts with the six faces of a box, where material goes on outside.
 
-    box: (2, 3) [m]; spacing: of the grid [m], points lie about spacing / 6 apart; other_boxes: (H, 2, 3) [m],
+    box: (2, 3) [m]; spacing: of the grid [m], points lie about spacing / 6 apart, on rods and shells near
+    enough for some across their thickness; other_boxes: (H, 2, 3) [m],
     further holds: material that is held on the other side of the face as well does not count as going on.
     A face counts where there is material just inside and just outside the box, so one that lies on the
     object's own surface, or beyond it, is left out. Areas are exact for sections with sides along the axes.
@@ -55,22 +58,85 @@ def hold_face(
     low, high = np.maximum(box[0], vertices.min(axis=0)), np.minimum(box[1], vertices.max(axis=0))
     if not np.all(high > low):
         return []
+    if all(part.shape == "solid" for part in parts):
+        regions = [(low, high, spacing / SAMPLES_PER_SPACING, None)]
+    else:
+        regions = [(low, high, _step(part, spacing), number) for number, part in enumerate(parts)]
     faces = []
     for axis in range(3):
         across = [other for other in range(3) if other != axis]
-        points, area = _grid(parts, others, low, high, across, spacing)
         for end, outward in ((0, -1.0), (1, 1.0)):
-            points[:, axis] = box[end, axis]
-            step = np.zeros(3)
-            step[axis] = outward * _PROBE * spacing
-            owner = _owner(parts, points + step)
-            crossed = (_owner(parts, points - step) >= 0) & (owner >= 0)
-            for other in others:
-                crossed &= ~np.all((points + step > other[0]) & (points + step < other[1]), axis=1)
-            if crossed.any():
-                coordinate = float(box[end, axis])
-                faces.append(HoldFace(axis, coordinate, points[crossed], area[crossed], owner[crossed]))
+            coordinate = float(box[end, axis])
+            found = [
+                face
+                for region in regions
+                if (face := _crossed(parts, others, axis, across, coordinate, outward, spacing, *region))
+            ]
+            if found:
+                points, area, owner = (np.concatenate(values) for values in zip(*found, strict=True))
+                faces.append(HoldFace(axis, coordinate, points, area, owner))
     return faces
+
+
+def _step(part: Part, spacing: float) -> float:
+    """How far apart a part's samples may lie: what is thin has some across."""
+    usual = spacing / SAMPLES_PER_SPACING
+    return usual if part.shape == "solid" else min(usual, 2.0 * part.volume / part.area / ACROSS)
+
+
+def _crossed(
+    parts: Sequence[Part],
+    others: np.ndarray,
+    axis: int,
+    across: list[int],
+    coordinate: float,
+    outward: float,
+    spacing: float,
+    low: np.ndarray,
+    high: np.ndarray,
+    step: float,
+    number: int | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Points, areas and parts where material crosses a plane between low and high, of one part or of all."""
+    if number is not None:
+        section = _section_bounds(parts[number], axis, coordinate)
+        if section is None:
+            return None
+        low, high = np.maximum(low, section[0]), np.minimum(high, section[1])
+        if not np.all(high[across] > low[across]):
+            return None
+        step = max(step, float(np.sqrt((high - low)[across].prod() / _MOST)))
+    points, area = _grid(parts, others, low, high, across, step)
+    points[:, axis] = coordinate
+    beyond = np.zeros(3)
+    beyond[axis] = outward * _PROBE * spacing
+    owner = _owner(parts, points + beyond)
+    crossed = (_owner(parts, points - beyond) >= 0) & (owner >= 0)
+    if number is not None:
+        crossed &= owner == number
+    for other in others:
+        crossed &= ~np.all((points + beyond > other[0]) & (points + beyond < other[1]), axis=1)
+    return (points[crossed], area[crossed], owner[crossed]) if crossed.any() else None
+
+
+def _section_bounds(part: Part, axis: int, coordinate: float) -> np.ndarray | None:
+    """(2, 3) corners of a box around where a mesh meets a plane, unbounded along the plane's axis."""
+    corners = part.vertices[part.faces]
+    side = corners[:, :, axis] - coordinate
+    met = (side.min(axis=1) <= 0.0) & (side.max(axis=1) >= 0.0)
+    places = []
+    for k in range(3):
+        a, b = side[met, k], side[met, (k + 1) % 3]
+        cut = (np.minimum(a, b) <= 0.0) & (np.maximum(a, b) >= 0.0) & (a != b)
+        share = a[cut] / (a - b)[cut]
+        one, two = corners[met, k][cut], corners[met, (k + 1) % 3][cut]
+        places.append(one + share[:, None] * (two - one))
+    place = np.concatenate(places)
+    if not len(place):
+        return None
+    bounds = np.stack([place.min(axis=0), place.max(axis=0)])
+    bounds[:, axis] = -np.inf, np.inf
+    return bounds
 
 
 def _grid(
@@ -79,14 +145,14 @@ def _grid(
     low: np.ndarray,
     high: np.ndarray,
     across: list[int],
-    spacing: float,
+    step: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Midpoints and areas of rectangles that tile [low, high] along the two axes across."""
+    """Midpoints and areas of rectangles no wider than a step that tile [low, high] along the two axes across."""
     strips = []
     for axis in across:
         length = float(high[axis] - low[axis])
-        samples = max(int(np.ceil(length / spacing * SAMPLES_PER_SPACING - 1e-6)), FEWEST)
-        flat = np.unique(np.concatenate([flat_planes(part, axis, 1e-9 * spacing) for part in parts]))
+        samples = int(np.ceil(length / step - 1e-6))
+        flat = np.unique(np.concatenate([flat_planes(part, axis, 1e-9 * step) for part in parts]))
         flat = flat if len(flat) <= max(samples, 8) else flat[:0]
         planes = np.concatenate([flat, others[:, :, axis].ravel()])
         strips.append(cut_axis(float(low[axis]), length, 1, samples, planes))

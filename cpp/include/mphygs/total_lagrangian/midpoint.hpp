@@ -5,8 +5,10 @@
 // where a are the accelerations of an explicit substep, effects, loads and observer among them, and hold is what the holds
 // leave of a velocity: C (u_n + h v_m) = hold at n+1. Of v_n+1 the part that the holds prescribe is the hold's mean velocity
 // in the step: reflected at the middle it would change its sign from step to step. Nothing that follows depends on it.
-// Newton's method with old factors, made faster by Anderson's. Where a correction does not get smaller the factors are made
-// anew at the best velocity so far, and where they are its own, its step is halved until it does (Deuflhard's natural test).
+// Newton's method with old factors, made faster by Anderson's. Where its corrections do not get smaller it goes on with
+// factors of its own at every velocity, and with as much of a correction as forces still drive along it: with a definite
+// matrix that is downhill in the step's potential. A sheet that turns is compressed on the way, and its own matrix one of
+// buckling: then it is that of the step's start, where forces are in balance.
 #pragma once
 
 #include "mphygs/total_lagrangian/holds.hpp"
@@ -99,8 +101,8 @@ inline void TotalLagrangianRun<T, K>::stand_at_middle() {
 template <class T, int K>
 inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
-    constexpr int most = 80, patience = 20, slow_step = 12;
-    constexpr double shortest = 1e-3;
+    constexpr int most = 80, slow_step = 12;
+    constexpr double overshoot = 0.9, shortest = 1e-3;
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
     const SubstepRule rule = this->rule(n);
@@ -117,65 +119,84 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     }
     m.history0 = history_;
     m.mixed.forget();
+    const std::vector<T> start_u = u_, start_v = v_;
     const double spread = m.matrix.size(by_node(u_)) + model_.geometry_.spacing[0], infinite = std::numeric_limits<double>::infinity();
-    Eigen::VectorXd x = by_node(v_), best = Eigen::VectorXd::Zero(x.size()), way = x;
-    if (m.ahead.size() > 0) {
-        x += m.ahead;
-    }
-    double least = infinite, share = 1.0;  // size of the correction at the best velocity so far; share of it that was gone
-    bool own = false;                      // whether the factors were made there
     const auto rest_at = [&](const Eigen::VectorXd& at) -> Eigen::VectorXd {
         midpoint_map(at, n, frame, time, dt);
         return by_node(v_) - at;
     };
-    const auto refresh = [&] { m.refresh(time + rule.at * dt, dt, rule.span * dt); };
+    const auto refresh = [&](const std::vector<T>& place, const std::vector<T>& velocity) {
+        m.place = place;
+        m.middle = velocity;
+        m.refresh(time + rule.at * dt, dt, rule.span * dt);
+    };
+    const auto work = [&](const Eigen::VectorXd& a, const Eigen::VectorXd& b) { return (a.array() * m.matrix.weight().array() * b.array()).sum(); };
+    if (m.stale || !m.factors_serve(dt)) {
+        refresh(start_u, start_v);
+    }
+    Eigen::VectorXd x = by_node(v_), best = x, way;
+    if (m.ahead.size() > 0) {
+        x += m.ahead;
+    }
+    bool fast = true;                                  // else from `best` along `way`, as far as forces drive along it
+    double least = infinite, share = 1.0, drive = 0.0;  // size of the correction at `best`; share of `way`; what drives there
     for (int i = 0; i < most; ++i) {
-        Eigen::VectorXd d = rest_at(x);
-        bool good = d.allFinite(), here = false;
-        if (good && (m.stale || !m.factors_serve(dt))) {
-            refresh();
-            here = true;
+        const Eigen::VectorXd rest = rest_at(x);
+        bool good = rest.allFinite();
+        if (!fast) {
+            if (way.size() > 0 && !(good && work(way, rest) >= -overshoot * drive)) {
+                share *= 0.5;
+                if (share < shortest) {
+                    break;
+                }
+                x = best + share * way;
+                continue;
+            }
+            const std::vector<T> place = m.place, middle = m.middle;
+            refresh(place, middle);
         }
-        if (good) {
-            d = m.matrix.solve(d);
+        Eigen::VectorXd d = good ? Eigen::VectorXd(m.matrix.solve(rest)) : rest;
+        if (!fast && good && !(work(d, rest) > 0.0)) {
+            refresh(start_u, start_v);
+            d = m.matrix.solve(rest);
         }
         const double size = dt * m.matrix.size(d), moves = dt * m.matrix.size(x);
         good = good && std::isfinite(size);
-        const bool better = good && size <= (1.0 - 0.1 * share) * least;
+        const bool better = good && size <= 0.9 * least;
         if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
-                     (!better && size <= Tolerance::loose * moves + (own ? 3 : 1) * Tolerance::noise_loose * spread))) {
+                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::noise_loose * spread))) {
             m.stale = m.stale || i > slow_step;
             m.impulse = lambda_rows_;
             return;
         }
-        if (better) {
+        if (fast && better && i < most / 2) {
             best = x;
-            way = d;
             least = size;
-            own = here;
-            if (share == 1.0 && i != patience) {
-                x = m.mixed.next(x, d);
-                continue;
-            }
-        } else if (least == infinite) {  // nothing serves yet: towards standing still
-            x *= 0.5;
+            x = m.mixed.next(x, d);
             continue;
         }
-        m.mixed.forget();
-        if (own && !better) {
-            share *= 0.5;
-            if (share < shortest) {
-                break;
-            }
-        } else if (!own) {  // Newton's own step from the best there is
-            const Eigen::VectorXd rest = rest_at(best);
-            refresh();
-            way = m.matrix.solve(rest);
-            least = dt * m.matrix.size(way);
-            own = true;
+        if (fast) {
+            fast = false;
             share = 1.0;
+            way.resize(0);
+            m.mixed.forget();
+            by_component(best, v_);  // as it is, but for the holds
+            if (constraint_[0].row_count() > 0) {
+                hold_lanes<0, 1>(n, rule.reach * dt);
+            }
+            x = by_node(v_);
+            continue;
         }
-        x = best + share * way;
+        if (!good || !(work(d, rest) > 0.0)) {
+            break;
+        }
+        best = x;
+        way = d;
+        drive = work(d, rest);
+        fast = share == 1.0 && size < 0.1 * moves && better;
+        least = size;
+        share = 1.0;
+        x = best + way;
     }
     SimulationError error("the implicit step of " + std::to_string(dt) + " s does not converge before output frame " +
                           std::to_string(frame + 1) + " (t = " + std::to_string(time) +
