@@ -8,7 +8,7 @@
 // Newton's method with old factors, made faster by Anderson's. Where its corrections do not get smaller it goes on with
 // factors of its own at every velocity, and with as much of a correction as forces still drive along it: with a definite
 // matrix that is downhill in the step's potential. A sheet that turns is compressed on the way, and its own matrix one of
-// buckling: then it is that of the step's start, where forces are in balance.
+// buckling, or nearly: then it is that of the step's start, where forces are in balance.
 #pragma once
 
 #include "mphygs/total_lagrangian/holds.hpp"
@@ -102,7 +102,7 @@ template <class T, int K>
 inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 80, slow_step = 12;
-    constexpr double overshoot = 0.9, shortest = 1e-3;
+    constexpr double overshoot = 0.9, shortest = 1e-3, nearly_singular = 0.1;
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
     const SubstepRule rule = this->rule(n);
@@ -134,10 +134,11 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     if (m.stale || !m.factors_serve(dt)) {
         refresh(start_u, start_v);
     }
-    Eigen::VectorXd x = by_node(v_), best = x, way;
+    Eigen::VectorXd x = by_node(v_), best = x, way, rest_there;
     if (m.ahead.size() > 0) {
         x += m.ahead;
     }
+    bool of_start = false;                             // whether `way` is of the start's matrix
     bool fast = true;                                  // else from `best` along `way`, as far as forces drive along it
     double least = infinite, share = 1.0, drive = 0.0;  // size of the correction at `best`; share of `way`; what drives there
     for (int i = 0; i < most; ++i) {
@@ -149,6 +150,16 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
                 if (share < shortest) {
                     break;
                 }
+                if (share < nearly_singular && !of_start) {
+                    refresh(start_u, start_v);
+                    way = m.matrix.solve(rest_there);
+                    drive = work(way, rest_there);
+                    of_start = true;
+                    share = 1.0;
+                    if (!(drive > 0.0)) {
+                        break;
+                    }
+                }
                 x = best + share * way;
                 continue;
             }
@@ -156,7 +167,8 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
             refresh(place, middle);
         }
         Eigen::VectorXd d = good ? Eigen::VectorXd(m.matrix.solve(rest)) : rest;
-        if (!fast && good && !(work(d, rest) > 0.0)) {
+        of_start = !fast && good && !(work(d, rest) > 0.0);
+        if (of_start) {
             refresh(start_u, start_v);
             d = m.matrix.solve(rest);
         }
@@ -192,6 +204,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         }
         best = x;
         way = d;
+        rest_there = rest;
         drive = work(d, rest);
         fast = share == 1.0 && size < 0.1 * moves && better;
         least = size;
