@@ -171,7 +171,9 @@ Right SparseFactors::solved(const Right& right) const {
 
 Eigen::VectorXd SparseFactors::solve(const Eigen::VectorXd& right) const { return solved(right); }
 
-Eigen::MatrixXd SparseFactors::solve_all(const Eigen::MatrixXd& right) const { return solved(right); }
+Eigen::MatrixXd SparseFactors::solve_all(const Eigen::MatrixXd& right) const {
+    return right.cols() == 1 ? Eigen::MatrixXd(solve(right.col(0))) : solved(right);
+}
 
 Eigen::VectorXd SparseFactors::solve_transposed(const Eigen::VectorXd& right) const {
     Eigen::VectorXd x = right(order_);
