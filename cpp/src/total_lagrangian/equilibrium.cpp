@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "mphygs/total_lagrangian/equilibrium_assembly.hpp"
-#include "mphygs/total_lagrangian/saddle_levels.hpp"
+#include "mphygs/total_lagrangian/saddle_vertices.hpp"
 
 namespace mphygs {
 
@@ -80,8 +80,7 @@ Equilibrium::Equilibrium(std::shared_ptr<const TotalLagrangian<double>> model) :
         }
     }
     unknown_ = Eigen::VectorXd::Zero(n);
-    const SaddleLevels levels(g, a.constraint_node(), model_->node_count());
-    solver_.analyse(matrix_, levels.start, levels.together);
+    solver_.analyse(matrix_, saddle_vertices(g, a.constraint_node(), model_->node_count(), matrix_));
 }
 
 void Equilibrium::assemble(const std::vector<double>& w, bool matrix, Eigen::VectorXd& residual) {

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <map>
 
-#include "mphygs/total_lagrangian/saddle_levels.hpp"
+#include "mphygs/total_lagrangian/saddle_vertices.hpp"
 
 namespace mphygs {
 
@@ -70,8 +70,7 @@ MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t
     rows_.setFromTriplets(rows.begin(), rows.end());
     matrix_.resize(all, all);
     matrix_.setFromTriplets(entries.begin(), entries.end());
-    const SaddleLevels levels(g, node, count);
-    solver_.analyse(matrix_, levels.start, levels.together);
+    solver_.analyse(matrix_, saddle_vertices(g, node, count, matrix_));
 }
 
 void MidpointMatrix::put(std::size_t colour, int component, const std::vector<double>& sum) {

@@ -11,7 +11,7 @@
 #include <memory>
 #include <vector>
 
-#include "mphygs/numerics/block_tridiagonal.hpp"
+#include "mphygs/numerics/sparse_factors.hpp"
 #include "mphygs/total_lagrangian/model.hpp"
 
 namespace mphygs {
@@ -66,7 +66,7 @@ class Equilibrium {
     bool factors_are_here_ = false;
     Eigen::SparseMatrix<double> matrix_;
     std::vector<std::int32_t> position_;  // of every block's 81 x 81 entries in the matrix's values
-    BlockTridiagonal solver_;
+    SparseFactors solver_;
 };
 
 }  // namespace mphygs

@@ -11,8 +11,8 @@
 #include <Eigen/Sparse>
 #include <cmath>
 
-#include "mphygs/numerics/block_tridiagonal.hpp"
 #include "mphygs/model.hpp"
+#include "mphygs/numerics/sparse_factors.hpp"
 
 namespace mphygs {
 
@@ -28,7 +28,7 @@ class MidpointMatrix {
     const std::vector<int>& nodes_of(std::size_t colour) const { return nodes_of_[colour]; }
     /// The sum of A's columns that belong to one component of a colour's nodes, (N, 3).
     void put(std::size_t colour, int component, const std::vector<double>& sum);
-    /// False where a block is singular.
+    /// False where a front is singular.
     bool factorise();
 
     /// (I - P B)^-1 b, one column after the other, (3 N, K); its transpose on one column.
@@ -46,7 +46,7 @@ class MidpointMatrix {
     std::vector<std::vector<int>> nodes_of_;
     Eigen::SparseMatrix<double> rows_;    // C, (3 R, 3 N)
     Eigen::SparseMatrix<double> matrix_;  // the saddle
-    BlockTridiagonal solver_;
+    SparseFactors solver_;
 };
 
 }  // namespace mphygs

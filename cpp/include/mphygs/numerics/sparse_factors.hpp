@@ -1,0 +1,51 @@
+// Direct solver for sparse systems: LU by fronts along an elimination tree.
+//
+// Unknowns that belong together, the three numbers of a node or the rows of a joint with the nodes that they need, are one
+// vertex of a graph; an order of the graph's vertices gives a tree of dense fronts (Duff and Reid, "The multifrontal solution
+// of indefinite sparse symmetric linear equations", 1983). Rows are exchanged within what a front eliminates, which is
+// enough for stiffness matrices whose constraints stand in one vertex with nodes that can carry them. Which entries are zero
+// is analysed once; the same analysis serves for all values. One thread, in a fixed order: the same bits always.
+#pragma once
+
+#include <Eigen/Dense>
+#include <Eigen/Sparse>
+#include <vector>
+
+namespace mphygs {
+
+class SparseFactors {
+  public:
+    /// matrix: of a symmetric pattern; vertices: every unknown in one of them.
+    void analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<std::vector<int>>& vertices);
+    /// Of a matrix with the pattern that was analysed. False where a front is singular.
+    bool factorise(const Eigen::SparseMatrix<double>& matrix);
+    /// Of one right-hand side, and of several, one a column, for which the factors are read once.
+    Eigen::VectorXd solve(const Eigen::VectorXd& right) const;
+    Eigen::MatrixXd solve_all(const Eigen::MatrixXd& right) const;
+    Eigen::VectorXd solve_transposed(const Eigen::VectorXd& right) const;
+    /// Of a factorisation [floating-point operations].
+    double work() const { return work_; }
+    /// Numbers in the factors: a solution takes two operations of each.
+    double entries() const;
+
+  private:
+    struct Front {
+        int first = 0, pivots = 0;            // of the unknowns in the order of elimination
+        std::vector<int> boundary;            // unknowns in the order of elimination
+        std::vector<int> in_parent;           // rows of the parent's front, of every unknown of the boundary
+        int parent = -1;
+        std::vector<int> children;
+        int first_entry = 0, entries = 0;     // of the matrix's entries that are added here
+        Eigen::PartialPivLU<Eigen::MatrixXd> diagonal;
+        Eigen::MatrixXd upper, lower;         // L^-1 P F12 and F21 U^-1
+    };
+    template <class Right>
+    Right solved(const Right& right) const;
+
+    std::vector<Front> fronts_;
+    std::vector<int> order_;                  // unknown eliminated k-th
+    std::vector<int> entry_, entry_place_;    // front by front: number of the value in the matrix, and place in the front
+    double work_ = 0;
+};
+
+}  // namespace mphygs
