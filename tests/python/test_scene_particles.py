@@ -21,6 +21,7 @@ class Solid:
     name: str
     vertices: np.ndarray
     faces: np.ndarray
+    shape: str = "solid"
 
 
 def solid(mesh: trimesh.Trimesh, name: str = "solid") -> Solid:

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 _STEPS = np.indices((3, 3, 3)).reshape(3, -1).T - 1
-# Points looked at together by Newton's method, its tightness in cells and how often it is tried.
-_POINTS_AT_ONCE, _TIGHT, _MOST = 20_000, 1e-12, 60
+# Points looked at together by Newton's method, its last step in cells and how often it is tried.
+_POINTS_AT_ONCE, _TIGHT, _MOST = 20_000, 1e-8, 60
 # Places of a cell from which the search for a point may begin.
 _BEGINNINGS = np.array([-1.0 / 3.0, 0.0, 1.0 / 3.0])
 

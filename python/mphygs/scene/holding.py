@@ -41,8 +41,8 @@ def hold_face(
     """Cross-sections of the union of the parts with the six faces of a box, where material goes on outside.
 
     box: (2, 3) [m]; spacing: of the grid [m], points lie about spacing / 6 apart, on rods and shells near
-    enough for some across their thickness; other_boxes: (H, 2, 3) [m],
-    further holds: material that is held on the other side of the face as well does not count as going on.
+    enough for some across their thickness; other_boxes: (H, 2, 3) [m], further holds: material that is held
+    on the other side of the face as well does not count as going on.
     A face counts where there is material just inside and just outside the box, so one that lies on the
     object's own surface, or beyond it, is left out. Areas are exact for sections with sides along the axes.
     Returns the faces of positive area, lower before upper, in the order of the axes.
@@ -147,7 +147,7 @@ def _grid(
     across: list[int],
     step: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Midpoints and areas of rectangles no wider than a step that tile [low, high] along the two axes across."""
+    """Midpoints and areas of rectangles, no wider than a step, that tile [low, high] along two axes."""
     strips = []
     for axis in across:
         length = float(high[axis] - low[axis])

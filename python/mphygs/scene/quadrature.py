@@ -163,7 +163,9 @@ def fill_each(
         found.append(blocks.only(len(near), number, len(parts), free))
         grids.append(grid)
     size, corner = (np.stack([getattr(g, name) for g in grids]) for name in ("spacing", "corner"))
-    return replace(_checked_blocks(parts, found, size, corner), charts=tuple(charts))
+    filled = _checked_blocks(parts, found, size, corner)
+    shapes = [filled.node_shape, *(chart.control.shape[:3] for chart in charts if chart is not None)]
+    return replace(filled, node_shape=np.max(shapes, axis=0), charts=tuple(charts))
 
 
 def _fitting_grid(

@@ -20,7 +20,8 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
 
     On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
     is reproduced when each coefficient equals the motion of its Greville point, the column's place
-    in the plane; of a curved grid patterns over the face are held. Below them the rows that tie the parts' grids, numbered -1, -2, ... by joint in `row_hold`.
+    in the plane; on a curved grid patterns over the face move with the hold. Below them the rows that tie the
+    parts' grids, numbered -1, -2, ... by joint in `row_hold`.
 
     faces: of every hold (see `hold_face`); spacing: that the grids were made for [m].
     Raises ValueError where a hold touches no free material.

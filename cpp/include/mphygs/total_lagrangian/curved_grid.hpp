@@ -36,7 +36,7 @@ struct CurvedCell {
     /// Throws std::invalid_argument where it does not arrive, or the map turns inside out on the way.
     void find(const double place[3], double (&s)[3]) const {
         constexpr int most = 50;
-        constexpr double tight = 1e-13, furthest = 4.0;
+        constexpr double tight = 1e-8, furthest = 4.0;  // of a step: the next is as small again
         s[0] = s[1] = s[2] = 0.0;
         Eigen::Vector3d found, step;
         Eigen::Matrix3d jacobian;
