@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from mphygs.scene.quadrature import Quadrature
 
 # Columns to a cell that it spans alone, and pieces that a column is tested in for being held.
-_ACROSS, _PIECES = 24, 8
+_ACROSS, _PIECES = 64, 8
+# A part reaches this many times as far from its chart's middle as half its thickness where the chart has lost it.
+_FURTHEST = 2.0
 # Eighth of a turn about a cell's first axis.
 _TURN = np.array([[1.0, 0.0, 0.0], [0.0, np.sqrt(0.5), np.sqrt(0.5)], [0.0, -np.sqrt(0.5), np.sqrt(0.5)]])
 # Of a cell: a hold's face that lies so evenly along a cell's boundary is made one.
@@ -65,6 +67,11 @@ def lay_chart(part: Part, spacing: float, gripped: Sequence[np.ndarray] = ()) ->
     vertices = _finer(part, chart)
     # What the chart left out at its thin ends is brought in: nothing may be beyond the one cell.
     reach = 2.0 * np.abs(chart.to_cells(vertices) - 1.0)[:, 3 - chart.thin :].max(axis=0)
+    if reach.max() > _FURTHEST:
+        raise ValueError(
+            f"part '{part.name}': as a {shape} it bends more sharply than cells of {spacing:g} m can follow, "
+            'expected a finer spacing, or "as": "solid"'
+        )
     chart = replace(chart, control=_widened(chart.control, np.maximum(reach, 1e-3)))
     chart.check(part.name)
     return chart

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # About how many samples, and triangles and rays that are looked at together.
 _SAMPLES, _AT_ONCE = 900, 1 << 22
 # A sample whose opposite side is this many times further off than the usual one lies on the rim.
-_RIM = 3.0
+_RIM = 2.0
 # Cosine of the steepest slope of a sheet that lies over a plane, and neighbours that ways along it go to.
 _STEEPEST, _NEIGHBOURS = 0.5, 10
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _EDGE, _KNOTS = 0.5, 3.0
 # How often the line and the points' places along it are found from each other.
 _ROUNDS = 4
+# Of a rod's own width, how far from its line none of it is.
+_ASIDE = 5.0
 # A rod is at least so many times as long as it is wide.
 SLENDER = 3.0
 
@@ -138,7 +140,7 @@ def _with_sections(
     """Directions carried along the line without turning about it, along the section's principal axes."""
     tangent = np.gradient(line, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    if np.linalg.norm(line[0] - line[-1]) < width:
+    if np.linalg.norm(line[0] - line[-1]) < 2.0 * width:
         raise ValueError(
             f"part '{name}': a rod that closes to a ring, expected two ends, or \"as\": \"solid\""
         )
@@ -154,6 +156,11 @@ def _with_sections(
     plain = CentreLine(arc, line, first, second, ones, along.min(), along.max())
     place, one, two = plain.at(along)
     across = np.stack([((points - place) * d).sum(1) / (d**2).sum(1) for d in (one, two)], axis=1)
+    if np.abs(across).max() > _ASIDE * width:
+        raise ValueError(
+            f"part '{name}': does not run along one line, expected a rod without branches that does not close "
+            'to a ring, or "as": "solid"'
+        )
     square = np.einsum("p,pa,pb->ab", weight, across, across)
     turn = np.linalg.eigh(square)[1][:, ::-1]
     turn[:, 1] *= np.sign(np.linalg.det(turn))

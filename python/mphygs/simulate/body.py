@@ -13,6 +13,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence
 from mphygs.scene.charts import Chart
 from mphygs.scene.particles import (
+    chosen_shape,
     Quadrature,
     closest_material,
     exposed_surface,
@@ -232,6 +233,12 @@ def discretise(
         charts = charts if any(chart is not None for chart in charts) else []
         quadrature = fill_each(parts, spacing=spacing, exclude_boxes=excluded, planes=gripped, charts=charts)
     else:
+        for part in parts:
+            if (shape := chosen_shape(part, spacing)[0]) != "solid":
+                raise ValueError(
+                    f"part '{part.name}': a {shape} is simulated by the total-Lagrangian transfer alone, "
+                    'expected --transfer total-lagrangian, or "as": "solid"'
+                )
         low = np.min([part.vertices.min(0) for part in parts], axis=0)
         offset = np.zeros(3)
         for group in faces:

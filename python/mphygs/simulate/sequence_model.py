@@ -111,10 +111,13 @@ class SequenceModel:
         return self._implicit_step if self.implicit(belief) else self._explicit_substep(belief)
 
     def implicit(self, belief: Belief) -> bool:
-        """Whether a run takes implicit steps: where the settings say so, or it costs less by far.
+        """Whether a run takes implicit steps: where the settings say so, or it costs less by far, and with
+        rods and shells always, through whose thickness an explicit step would be as short as sound takes.
 
         Both are counted in evaluations of the forces, so that the choice is the same on every machine.
         """
+        if self.body.curved:
+            return True
         if self.settings.integrator != AUTO:
             return self.settings.integrator == IMPLICIT
         if self.settings.transfer == MLS:

@@ -101,7 +101,7 @@ inline void TotalLagrangianRun<T, K>::stand_at_middle() {
 template <class T, int K>
 inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
-    constexpr int most = 80, slow_step = 12;
+    constexpr int most = 200, patience = 30, slow_step = 12;
     constexpr double overshoot = 0.9, shortest = 1e-3, nearly_singular = 0.1;
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
@@ -139,6 +139,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         x += m.ahead;
     }
     bool of_start = false;                             // whether `way` is of the start's matrix
+    int quick = 0;                                     // iterations that old factors did
     bool fast = true;                                  // else from `best` along `way`, as far as forces drive along it
     double least = infinite, share = 1.0, drive = 0.0;  // size of the correction at `best`; share of `way`; what drives there
     for (int i = 0; i < most; ++i) {
@@ -181,7 +182,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
             m.impulse = lambda_rows_;
             return;
         }
-        if (fast && better && i < most / 2) {
+        if (fast && better && ++quick < patience) {
             best = x;
             least = size;
             x = m.mixed.next(x, d);
@@ -189,6 +190,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         }
         if (fast) {
             fast = false;
+            quick = 0;
             share = 1.0;
             way.resize(0);
             m.mixed.forget();
