@@ -101,7 +101,7 @@ def test_frequencies_of_a_clamped_strip_converge() -> None:
 
 def test_rod_shell_and_solid_of_one_cantilever_agree() -> None:
     found = {}
-    for shape, spacing in (("solid", 6e-4), ("shell", 2.5e-3), ("rod", 2.5e-3)):
+    for shape, spacing in (("solid", 6e-4), ("shell", 1.5e-3), ("rod", 1.5e-3)):
         part = strip(0.03, 0.003, 1.2e-3, held=0.003, shape=shape)
         found[shape] = frequencies(
             held_capture([part]), spacing, 2, youngs_modulus=1e7, poissons_ratio=0.0
@@ -169,12 +169,12 @@ def test_slopes_are_those_of_differences_and_of_the_adjoint(kind: str) -> None:
         difference = (up - down) / 2e-4
         own = found[..., free.index(key)]
         assert np.abs(difference).max() > 1e-8, key
-        assert np.abs(own - difference).max() < 1e-4 * np.abs(difference).max(), key
+        assert np.abs(own - difference).max() < 1e-4 * np.abs(difference).max() + 1e-9, key
         assert gradient[number] == pytest.approx((weights * own).sum(), rel=1e-6), key
 
 
 def test_energy_is_kept_but_for_what_pairs_of_steps_take() -> None:
-    # A tenth of what one share of critical damping in a thousand would take from the first mode.
+    # A thousandth of critical damping takes more; the release leaves a twentieth in the higher modes.
     length = 0.1
     capture = held_capture([rod(length)], frames=121, gravity=[0.0, 0.0, -9.81])
     belief = bar_belief(capture, youngs_modulus=1e8, density=DENSITY, poissons_ratio=0.3)
@@ -183,7 +183,7 @@ def test_energy_is_kept_but_for_what_pairs_of_steps_take() -> None:
     assert swing[0] > 1e-3
     cycles = 1.5 * 13.3
     assert swing[1] / swing[0] > np.exp(-2 * np.pi * 1e-3 * cycles)
-    assert swing[1] / swing[0] < 1.02
+    assert swing[1] / swing[0] < 1.005
 
 
 def test_two_rods_end_to_end_swing_as_one() -> None:
@@ -235,7 +235,7 @@ def ring() -> Part:
 @pytest.mark.parametrize(
     ("part", "expected"),
     [
-        (replace(strip(0.01, 0.01, 0.009, held=0.0), shape="rod"), "expected a rod at least 3 times as long"),
+        (replace(strip(0.01, 0.01, 0.009, held=0.0), shape="rod"), "two ends|expected a rod at least 3 times as long"),
         (ring(), "to a ring"),
         (folded(), "bends more sharply|folds onto itself|closes on itself"),
     ],

@@ -125,10 +125,12 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         midpoint_map(at, n, frame, time, dt);
         return by_node(v_) - at;
     };
-    const auto refresh = [&](const std::vector<T>& place, const std::vector<T>& velocity) {
-        m.place = place;
-        m.middle = velocity;
+    const auto refresh = [&](std::vector<T> place, std::vector<T> velocity) {
+        place.swap(m.place);
+        velocity.swap(m.middle);
         m.refresh(time + rule.at * dt, dt, rule.span * dt);
+        place.swap(m.place);  // the middle stays what it was last taken to be
+        velocity.swap(m.middle);
     };
     const auto work = [&](const Eigen::VectorXd& a, const Eigen::VectorXd& b) { return (a.array() * m.matrix.weight().array() * b.array()).sum(); };
     if (m.stale || !m.factors_serve(dt)) {
@@ -164,8 +166,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
                 x = best + share * way;
                 continue;
             }
-            const std::vector<T> place = m.place, middle = m.middle;
-            refresh(place, middle);
+            refresh(m.place, m.middle);
         }
         Eigen::VectorXd d = good ? Eigen::VectorXd(m.matrix.solve(rest)) : rest;
         of_start = !fast && good && !(work(d, rest) > 0.0);
