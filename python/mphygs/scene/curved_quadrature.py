@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Columns to a cell that it spans alone, and pieces that a column is tested in for being held.
 _ACROSS, _PIECES = 64, 8
-# A part reaches this many times as far from its chart's middle as half its thickness where the chart has lost it.
+# A part that reaches this many times as far from its chart's middle as half its thickness is lost to it.
 _FURTHEST = 2.0
 # Eighth of a turn about a cell's first axis.
 _TURN = np.array([[1.0, 0.0, 0.0], [0.0, np.sqrt(0.5), np.sqrt(0.5)], [0.0, -np.sqrt(0.5), np.sqrt(0.5)]])
@@ -100,19 +100,24 @@ def _rod(part: Part, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
 
 def _shell(part: Part, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
     surface = middle_surface(part)
-    # Samples are as far as half their distance from the rim.
-    rim = 0.5 * np.sqrt(part.area / 2.0 / len(surface.place))
-    low, high = surface.flat.min(axis=0) - rim, surface.flat.max(axis=0) + rim
 
-    def laid(planes: Sequence[float | None]) -> tuple[Chart, np.ndarray, np.ndarray]:
+    def laid(
+        low: np.ndarray, high: np.ndarray, planes: Sequence[float | None]
+    ) -> tuple[Chart, np.ndarray, np.ndarray]:
         cells = [fitting(low[a], high[a], spacing, planes[a], least=2) for a in range(2)]
         corner, size, count = (np.array(values) for values in zip(*cells, strict=True))
         return shell_chart(surface, corner, size, count), corner, size
 
-    chart, corner, size = laid((None, None))
-    flat = [corner + (chart.to_cells(points)[:, :2] - 0.5) * size for points in gripped if len(points)]
-    planes = [_boundary([each[:, a] for each in flat], spacing) for a in range(2)]
-    return chart if planes == [None, None] else laid(planes)[0]
+    chart, corner, size = laid(surface.flat.min(axis=0), surface.flat.max(axis=0), (None, None))
+
+    def flat(points: np.ndarray) -> np.ndarray:
+        return corner + (chart.to_cells(points)[:, :2] - 0.5) * size
+
+    # No sample is on the rim itself.
+    rim = flat(part.vertices)
+    held = [flat(points) for points in gripped if len(points)]
+    planes = [_boundary([each[:, a] for each in held], spacing) for a in range(2)]
+    return laid(rim.min(axis=0), rim.max(axis=0), planes)[0]
 
 
 def _boundary(along: Sequence[np.ndarray], spacing: float) -> float | None:
