@@ -91,7 +91,7 @@ class SequenceModel:
     def steps_a_frame(self) -> int:
         """Of implicit steps, as the capture's sequence of the name asks for, whatever points are followed."""
         named = (s for s in self.capture.sequences if s.name == self.recording.name)
-        return steps_a_frame(next(named, self.recording))
+        return steps_a_frame(next(named, self.recording), paired=self.body.curved)
 
     # ---- models, substeps ---------------------------------------------------------------------
     def model(

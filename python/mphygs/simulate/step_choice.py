@@ -15,13 +15,14 @@ SHARE = 0.25
 SEEN = 9.0
 
 
-def steps_a_frame(recording: Recording) -> int:
+def steps_a_frame(recording: Recording, *, paired: bool = False) -> int:
     """The fewest steps a frame, from FEWEST on, whose error is below SHARE of the markers' noise.
 
-    The midpoint rule swings by (w h)^2 / 12 too slowly: after t a swing of the frequency w is off by
-    w^3 h^2 t / 12 of its size, at most counted as all of it. What swings is taken from the spectrum
-    of the markers in the frames to fit, so that the steps are the same whatever a fit tries, now and when it
-    goes on.
+    The midpoint rule swings by (w h)^2 / 12 too slowly, in pairs with BDF2 by (w h)^2 / 6: the first terms of
+    log A - i w h, A by what a step multiplies e^(i w t). After t a swing of the frequency w is off by w t
+    times that share of its size, at most counted as all of it. What swings is taken from the spectrum of the
+    markers in the frames to fit, so that the steps are the same whatever a fit tries, now and when it goes
+    on. paired: whether the steps are.
     """
     first = recording.release or 0
     swings = None if recording.markers is None else _spectrum(recording, max(first, recording.fit[0]))
@@ -29,9 +30,10 @@ def steps_a_frame(recording: Recording) -> int:
         return FEWEST
     rate, power, noise = swings
     span = (recording.frames - first) / recording.fps
+    delay = 1.0 / 6.0 if paired else 1.0 / 12.0
     steps = FEWEST
     while True:
-        late = rate**3 * span / (12.0 * np.sqrt(3.0) * (steps * recording.fps) ** 2)
+        late = delay * rate**3 * span / (np.sqrt(3.0) * (steps * recording.fps) ** 2)
         if (np.minimum(late, 1.0) ** 2) @ power <= (SHARE * noise) ** 2:
             return steps
         steps += 1
