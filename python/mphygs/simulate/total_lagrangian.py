@@ -26,9 +26,9 @@ _NOWHERE = np.zeros((0, 3))
 # What `implicit_cost` counts with, in operations as they pass in products of large matrices: forces of a
 # block of eight points, 4 x 27 x 9 x 8 multiplications and additions to gather and to scatter, and the law's.
 FORCES = 1e4
-# Of an implicit step: solutions, each with the forces, and new matrices. From 9 and 0.05 on a thick bar to 19
-# and 0.45 on a stem that bends far: these hold the bodies of benchmarks/implicit within a factor of about 2.
-SOLUTIONS, RENEWALS = 20.0, 0.07
+# Of an implicit step: solutions, each with the forces, and new matrices. A body that bends far takes more of
+# both than a thick one; these two hold all bodies of benchmarks/implicit within a factor of 2.5.
+SOLUTIONS, RENEWALS = 25.0, 0.08
 # Forces in double precision, a derivative of them among many, both beside forces in single precision; what it
 # takes to read a number of the factors, 8 bytes; an operation in a front, most of which are small.
 DOUBLE, DERIVATIVE, READ, SLOWER = 2.0, 1.0, 8.0, 2.0
