@@ -2,7 +2,7 @@
 
 #include "arrays.hpp"
 #include "fields.hpp"
-#include "mphygs/total_lagrangian/model.hpp"
+#include "mphygs/total_lagrangian/midpoint_cost.hpp"
 #include "point_hook.hpp"
 
 namespace mphygs_python {
@@ -60,6 +60,11 @@ void bind(py::module_& m, const char* name) {
                  const auto n = static_cast<py::ssize_t>(w.node.size() / 27);
                  return py::make_tuple(to_array(std::move(w.node), {n, 27}), to_array(std::move(w.value), {n, 27}),
                                        to_array(std::move(w.gradient), {n, 27, 3}));
+             })
+        .def("implicit_cost",
+             [](const Model& self) {
+                 const MidpointCost cost = midpoint_cost(self);
+                 return py::make_tuple(cost.columns, cost.factors, cost.entries);
              })
         .def_property(
             "threads", [](const Model& self) { return self.settings().threads; }, &Model::set_threads)

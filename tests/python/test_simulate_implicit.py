@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-import mphygs.simulate.sequence_model as sequence_model
 from bar_capture import bar_belief, bar_capture
 from command_example import answer, call
 from mphygs.capture.format import Capture, Known, Markers, save_capture
@@ -28,6 +27,7 @@ from mphygs.simulate.op import rollout
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 from mphygs.simulate.settings import AUTO, EXPLICIT, IMPLICIT, MLS, Settings
+from mphygs.simulate.step_choice import FEWEST, steps_a_frame
 from test_simulate_op import all_fields, scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
@@ -161,11 +161,26 @@ def test_auto_takes_implicit_steps_where_the_object_is_stiff_only() -> None:
     predictor = Predictor(capture, capture.sequence("a"), settings(AUTO))
     soft, stiff = (bar_belief(capture, youngs_modulus=e, density=800.0) for e in (1e5, STIFF))
     assert not predictor.implicit(soft) and predictor.implicit(stiff)
-    assert predictor.stable_substep(stiff) == pytest.approx(1 / (sequence_model.STEPS_A_FRAME * FPS))
+    assert predictor.stable_substep(stiff) == pytest.approx(1 / (FEWEST * FPS))
     explicit = Predictor(capture, capture.sequence("a"), settings(EXPLICIT))
     assert predictor.stable_substep(soft) == explicit.stable_substep(soft)
     few = [p.predict(soft, last=6).position for p in (predictor, explicit)]
     assert (few[0] == few[1]).all()
+
+
+def test_auto_changes_over_where_an_implicit_step_costs_as_much_as_the_explicit_ones_in_it() -> None:
+    cost = []
+    for side in (0.008, 0.032):  # one cell and four
+        capture = bar_capture(lengths=(0.2,), side=side, held=0.008, frames=6, fps=FPS)
+        predictor = Predictor(capture, capture.sequence("a"), settings(AUTO))
+        explicit = Predictor(capture, capture.sequence("a"), settings(EXPLICIT))
+        cost.append(predictor.transfer.implicit_cost)
+        substep = explicit.stable_substep(bar_belief(capture, youngs_modulus=1e6, density=800.0))
+        even = 1e6 * (cost[-1] * substep * FEWEST * FPS) ** 2  # substeps fall with the modulus's root
+        for share, implicit in ((0.98, False), (1.02, True)):
+            belief = bar_belief(capture, youngs_modulus=share * even, density=800.0)
+            assert predictor.implicit(belief) == implicit
+    assert 50 < cost[0] < 1.2 * cost[0] < cost[1] < 500
 
 
 def test_an_implicit_step_with_mls_is_refused_in_one_line() -> None:
@@ -179,13 +194,9 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     folder = tmp_path_factory.mktemp("stiff")
     capture = stem()
     belief = bar_belief(capture, youngs_modulus=STIFF, density=800.0)
-    # The truth in steps a quarter as long.
-    steps = sequence_model.STEPS_A_FRAME
-    try:
-        sequence_model.STEPS_A_FRAME = 4 * steps
-        truth = Predictor(capture, capture.sequence("a"), settings(IMPLICIT)).predict(belief).position
-    finally:
-        sequence_model.STEPS_A_FRAME = steps
+    predictor = Predictor(capture, capture.sequence("a"), settings(IMPLICIT))
+    predictor.steps_a_frame = 4 * FEWEST  # the truth in steps a quarter as long
+    truth = predictor.predict(belief).position
     seen = truth + SIGMA * np.random.default_rng(3).standard_normal(truth.shape)
     one = capture.sequences[0]
     assert one.markers is not None
@@ -194,7 +205,9 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     save_capture(replace(capture, sequences=(recording,)), folder / "capture")
     options = ("--out", folder / "run", "--integrator", "implicit", "--spacing", 0.008, "--preset", "stem")
     given = answer(fit, folder / "capture", *options)
-    return {"folder": folder, "run": folder / "run", "answer": given}
+    steps = steps_a_frame(recording)
+    assert steps > FEWEST
+    return {"folder": folder, "run": folder / "run", "answer": given, "steps": steps}
 
 
 def test_fit_finds_the_modulus_of_a_stiff_stem(fitted: dict) -> None:
@@ -202,7 +215,7 @@ def test_fit_finds_the_modulus_of_a_stiff_stem(fitted: dict) -> None:
     found = given["parameters"]["part0.youngs_modulus"]
     assert found["value"] / STIFF == pytest.approx(1.0, abs=0.03)
     assert given["integrator"] == {"a": "implicit"}
-    assert given["substep"]["a"] == pytest.approx(1 / (sequence_model.STEPS_A_FRAME * FPS))
+    assert given["substep"]["a"] == pytest.approx(1 / (fitted["steps"] * FPS))
     assert json.loads((fitted["run"] / "run.json").read_text())["settings"]["integrator"] == "implicit"
 
 
@@ -210,7 +223,7 @@ def test_the_commands_go_on_with_implicit_steps(fitted: dict) -> None:
     before = fitted["answer"]["sequences"]["a"]["predict"]["rms"]
     assert before < 1.2 * SIGMA * np.sqrt(3.0)  # of all three components
     predicted_again = answer(predict, fitted["run"])["sequences"]["a"]
-    assert predicted_again["substeps"] == sequence_model.STEPS_A_FRAME * (FRAMES - 1)
+    assert predicted_again["substeps"] == fitted["steps"] * (FRAMES - 1)
     compared = answer(compare, fitted["run"])["sequences"]["a"]
     assert compared["predict"]["rms"] == pytest.approx(before, rel=1e-3)
     assert answer(diagnose, fitted["run"], "--effects", "mass_damping")["ranking"]

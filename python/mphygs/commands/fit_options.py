@@ -42,8 +42,9 @@ class FitOptions(CommonOptions):
     transfer: Literal["total-lagrangian", "mls"] = "total-lagrangian"
     """How particles and grid exchange momentum."""
     integrator: Literal["explicit", "implicit", "auto"] = "explicit"
-    """Steps in time: explicit, as short as stability asks for; implicit, an eighth of a frame, for what is
-    stiff; auto, whichever cost less at the stiffness that the fit is at. Implicit not with --transfer mls."""
+    """Steps in time: explicit, as short as stability asks for; implicit, an eighth of a frame or
+    less, for what is stiff; auto, whichever cost less at the stiffness that the fit is at. Implicit not with
+    --transfer mls."""
     spacing: Annotated[float | None, tyro.conf.arg(metavar="m")] = None
     """Grid spacing [m]; default: from the object's volume."""
     prestress: Literal["off", "paper", "equilibrium"] | None = None

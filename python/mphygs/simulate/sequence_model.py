@@ -33,16 +33,11 @@ from mphygs.simulate.scope import (
     stated_weights,
 )
 from mphygs.simulate.settings import AUTO, IMPLICIT, MLS, TRANSFERS, Settings, check_effects, check_integrator
+from mphygs.simulate.step_choice import steps_a_frame
 from mphygs.simulate.timeline import Timeline, poses_of, timeline_of
 from mphygs.simulate.total_lagrangian import TotalLagrangian
 from mphygs.simulate.transfer import Start, Transfer
 from mphygs.simulate.user_effects import forces_of
-
-# Of implicit steps. A swing of a sixth of the frame rate falls behind by 0.1 % of its period then; in steps
-# twice as long by 0.5 %, which markers show.
-STEPS_A_FRAME = 8
-# Explicit substeps that cost as much as an implicit step, at most: see benchmarks/implicit.
-WORTH_AN_IMPLICIT_STEP = 160
 
 
 class SequenceModel:
@@ -92,6 +87,12 @@ class SequenceModel:
         """What reads the sequence's sensors. Raises ValueError for one that the transfer does not have."""
         return tuple(instrument_of(s, self.transfer, self.recording) for s in self.recording.sensors)
 
+    @cached_property
+    def steps_a_frame(self) -> int:
+        """Of implicit steps, as the capture's sequence of the name asks for, whatever points are followed."""
+        named = (s for s in self.capture.sequences if s.name == self.recording.name)
+        return steps_a_frame(next(named, self.recording), paired=self.body.curved)
+
     # ---- models, substeps ---------------------------------------------------------------------
     def model(
         self, active: tuple[str, ...], spots: np.ndarray, law: str, *, implicit: bool = False
@@ -114,7 +115,7 @@ class SequenceModel:
         """Whether a run takes implicit steps: where the settings say so, or it costs less by far, and with
         rods and shells always, through whose thickness an explicit step would be as short as sound takes.
 
-        Both are counted in evaluations of the forces, so that the choice is the same on every machine.
+        Both are counted in operations, so that the choice is the same on every machine.
         """
         if self.body.curved:
             return True
@@ -122,11 +123,11 @@ class SequenceModel:
             return self.settings.integrator == IMPLICIT
         if self.settings.transfer == MLS:
             return False
-        return WORTH_AN_IMPLICIT_STEP * self._explicit_substep(belief) < self._implicit_step
+        return self.transfer.implicit_cost * self._explicit_substep(belief) < self._implicit_step
 
     @property
     def _implicit_step(self) -> float:
-        return 1.0 / (STEPS_A_FRAME * self.recording.fps)
+        return 1.0 / (self.steps_a_frame * self.recording.fps)
 
     def _explicit_substep(self, belief: Belief) -> float:
         if self.settings.integrator != AUTO:

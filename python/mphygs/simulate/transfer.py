@@ -81,6 +81,11 @@ class Transfer(ABC):
     @abstractmethod
     def _new_model(self, active: tuple[str, ...], spots: np.ndarray, law: str, number: type) -> object: ...
 
+    @property
+    def implicit_cost(self) -> float:
+        """How many explicit substeps cost as much as an implicit step; no number where there is none."""
+        return np.inf
+
     @abstractmethod
     def largest_rates(self, model: object, fields: Arrays, hook: object | None) -> tuple[float, float]:
         """Largest squared frequency [1/s^2] and damping rate [1/s] of the model linearised at rest."""

@@ -30,6 +30,9 @@ class MidpointMatrix {
     void put(std::size_t colour, int component, const std::vector<double>& sum);
     /// False where a front is singular.
     bool factorise();
+    /// Operations of a factorisation, and numbers in the factors.
+    double work() const { return solver_.work(); }
+    double entries() const { return solver_.entries(); }
 
     /// (I - P B)^-1 b, one column after the other, (3 N, K); its transpose on one column.
     Eigen::MatrixXd solve(const Eigen::MatrixXd& b) const;

@@ -1,0 +1,61 @@
+"""How many implicit steps a frame takes: as many as the measured motion needs beside its noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mphygs.capture.record import Sequence as Recording
+
+# What implicit steps have at least. A swing of a sixth of the frame rate falls behind by 0.1 % of its period
+# then; Newton's method does not always find a step of half a frame.
+FEWEST = 8
+# Of the noise, that the steps may be off: together they are 3 % more than the noise.
+SHARE = 0.25
+# Of a frequency's power over that of the noise, from which on it is taken as motion.
+SEEN = 9.0
+
+
+def steps_a_frame(recording: Recording, *, paired: bool = False) -> int:
+    """The fewest steps a frame, from FEWEST on, whose error is below SHARE of the markers' noise.
+
+    The midpoint rule swings by (w h)^2 / 12 too slowly, in pairs with BDF2 by (w h)^2 / 6: the first terms of
+    log A - i w h, A by what a step multiplies e^(i w t). After t a swing of the frequency w is off by w t
+    times that share of its size, at most counted as all of it. What swings is taken from the spectrum of the
+    markers in the frames to fit, so that the steps are the same whatever a fit tries, now and when it goes
+    on. paired: whether the steps are.
+    """
+    first = recording.release or 0
+    swings = None if recording.markers is None else _spectrum(recording, max(first, recording.fit[0]))
+    if swings is None:
+        return FEWEST
+    rate, power, noise = swings
+    span = (recording.frames - first) / recording.fps
+    delay = 1.0 / 6.0 if paired else 1.0 / 12.0
+    steps = FEWEST
+    while True:
+        late = delay * rate**3 * span / (np.sqrt(3.0) * (steps * recording.fps) ** 2)
+        if (np.minimum(late, 1.0) ** 2) @ power <= (SHARE * noise) ** 2:
+            return steps
+        steps += 1
+
+
+def _spectrum(recording: Recording, first: int) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Frequencies [rad/s], mean square of a coordinate of the motion at each [m^2], and the noise [m]; None
+    where no marker is seen in all frames, or in too few for a window."""
+    markers = recording.markers
+    assert markers is not None
+    seen = markers.position[first : recording.fit[1]]
+    whole = np.isfinite(seen).all((0, 2)) if len(seen) else np.zeros(0, bool)
+    if len(seen) < FEWEST or not whole.any():
+        return None
+    track = seen[:, whole].reshape(len(seen), -1)
+    time = np.linspace(-1.0, 1.0, len(track))
+    line = np.stack([np.ones_like(time), time], axis=1)
+    window = np.blackman(len(track) + 2)[1:-1]  # its ends join: a jump there would count as swift
+    swing = window[:, None] * (track - line @ np.linalg.lstsq(line, track, rcond=None)[0])
+    power = (np.abs(np.fft.rfft(swing, axis=0)) ** 2).mean(1) / (window @ window)
+    noise = float(np.sqrt((markers.each[whole] ** 2).mean()))
+    rate = 2.0 * np.pi * recording.fps * np.fft.rfftfreq(len(track))
+    both = np.where((rate > 0.0) & (rate < 0.999 * np.pi * recording.fps), 2.0, 1.0)  # signs of the frequency
+    power = np.where(power > SEEN * noise**2, both * (power - noise**2), 0.0) / len(track)
+    return rate, power, noise
