@@ -13,8 +13,8 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence
 from mphygs.scene.charts import Chart
 from mphygs.scene.particles import (
-    chosen_shape,
     Quadrature,
+    chosen_shape,
     closest_material,
     exposed_surface,
     fill,

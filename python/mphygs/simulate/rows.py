@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from mphygs.scene.particles import HoldFace, Joint, find_joints
-from mphygs.simulate.joint_constraints import patterns, tie_rows
+from mphygs.scene.particles import HoldFace, find_joints
+from mphygs.simulate.joint_constraints import tie_rows
 
 if TYPE_CHECKING:
     from mphygs.simulate.body import Body
+
+# Of the mean square of the leading pattern of a trace: what has less is not held.
+LEAST_TRACE = 1e-4
 
 
 def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: float) -> dict:
@@ -20,7 +23,7 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
 
     On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
     is reproduced when each coefficient equals the motion of its Greville point, the column's place
-    in the plane; on a curved grid patterns over the face move with the hold. Below them the rows that tie the
+    in the plane; on a curved grid the trace's patterns move with the hold. Below them the rows that tie the
     parts' grids, numbered -1, -2, ... by joint in `row_hold`.
 
     faces: of every hold (see `hold_face`); spacing: that the grids were made for [m].
@@ -35,7 +38,7 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
         for face, part in ((f, p) for f in group for p in nodes_of if (f.part == p).any()):
             nodes, mine = nodes_of[part], face.part == part
             if q.chart(part) is not None:
-                for own, values, place in _curved_hold(body, face, mine, part, spacing):
+                for own, values, place in _curved_hold(body, face, mine, part):
                     node += own.tolist()
                     weight += values.tolist()
                     begin.append(len(weight))
@@ -94,25 +97,32 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
 
 
 def _curved_hold(
-    body: Body, face: HoldFace, mine: np.ndarray, part: int, spacing: float
+    body: Body, face: HoldFace, mine: np.ndarray, part: int
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Nodes, weights and target of the rows by which a held face moves a part on a curved grid.
+    """Nodes (W, 3), weights (W,) and target (3,) of the rows by which a held face moves a part on a curved
+    grid.
 
-    Such a grid has no plane of nodes in the face. Patterns of the displacement over it are the hold's, as
-    those of a joint's two sides are each other's: the mean, and the mean weighed with 1 and each pattern
-    more, which makes every row's weights add up to one.
+    Such a grid has no plane of nodes in the face. Held are all patterns of the displacement over it that the
+    splines can make there and that are not next to nothing: the leading ones of the trace. What a rigid motion
+    does to the nodes it does to the patterns. To each is added as much of the one that is most like the mean
+    as makes its weights add up to one.
     """
+    chart = body.quadrature.chart(part)
     points, area = face.points[mine], face.area[mine]
-    normal = np.tile(np.eye(3)[face.axis], (len(points), 1))
-    pattern = patterns(Joint((part, part), points, area, normal), spacing)
-    pattern[:, 1:] += pattern[:, :1]
-    factor = (area / area.sum())[:, None] * pattern / pattern[0, 0]
     nodes, shares = _carried_by(body, points, part)
     index, column = np.unique(nodes.reshape(-1, 3), axis=0, return_inverse=True)
-    return [
-        (index, np.bincount(column.ravel(), (each[:, None] * shares).ravel(), len(index)), each @ points)
-        for each in factor.T
-    ]
+    trace = np.zeros((len(points), len(index)))
+    row = np.repeat(np.arange(len(points)), shares.shape[1])
+    np.add.at(trace, (row, column.ravel()), shares.ravel())
+    gram = (trace * (area / area.sum())[:, None]).T @ trace
+    strength, pattern = np.linalg.eigh(gram)
+    rows = pattern[:, strength > LEAST_TRACE * strength[-1]].T
+    rows = rows[np.argsort(-np.abs(rows.sum(axis=1)), kind="stable")]
+    rows[0] /= rows[0].sum()
+    rows[1:] += (1.0 - rows[1:].sum(axis=1))[:, None] * rows[0]
+    own = index - [part * body.geometry["grid_width"], 0, 0]
+    place = chart.control[tuple(own.T)]
+    return [(index, each, each @ place) for each in rows]
 
 
 def _ties(
