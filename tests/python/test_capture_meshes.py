@@ -225,23 +225,44 @@ def test_a_face_that_names_no_vertex_is_told_by_it(index: int, tmp_path: Path) -
         read_mesh(tmp_path / "a.ply")
 
 
-@pytest.mark.parametrize("shape", ["solid", "auto"])
-def test_a_part_may_say_that_it_is_a_solid(tmp_path: Path, shape: str) -> None:
+@pytest.mark.parametrize("shape", ["solid", "auto", "rod", "shell"])
+def test_a_part_may_say_what_it_is(tmp_path: Path, shape: str) -> None:
     stored(tmp_path, cube())
     part = read_part(tmp_path, Entry({"name": "a", "mesh": "m.ply", "as": shape}, "capture.json", "part"))
-    assert np.isclose(part.volume, 1.0)
+    assert np.isclose(part.volume, 1.0) and part.shape == shape
+
+
+def bent_square(count: int = 9) -> trimesh.Trimesh:
+    """A middle surface that bends: its rim is open."""
+    u = np.linspace(0.0, 1.0, count)
+    x, y = np.meshgrid(u, u, indexing="ij")
+    place = np.stack([np.sin(x), y, 1.0 - np.cos(x)], axis=2).reshape(-1, 3)
+    n = np.arange(count * count).reshape(count, count)
+    a, b, c, d = (v.ravel() for v in (n[:-1, :-1], n[1:, :-1], n[1:, 1:], n[:-1, 1:]))
+    return trimesh.Trimesh(place, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), process=False)
+
+
+def test_a_middle_surface_is_given_its_thickness(tmp_path: Path) -> None:
+    mesh = bent_square()
+    mesh.faces[::3] = mesh.faces[::3, ::-1]  # whichever way its triangles are wound
+    stored(tmp_path, mesh)
+    entry = {"name": "a", "mesh": "m.ply", "thickness": 1e-5, "scale": 1e-3}
+    part = read_part(tmp_path, Entry(entry, "capture.json", "part"))
+    assert part.shape == "shell"
+    assert part.volume == pytest.approx(1e-5 * mesh.area * 1e-6, rel=1e-3)
+    assert trimesh.Trimesh(part.vertices, part.faces, process=False).is_volume
 
 
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"as": "rod"}, 'part.as: a part as a "rod" is not simulated yet'),
-        ({"as": "shell"}, 'part.as: a part as a "shell" is not simulated yet'),
-        ({"thickness": 0.0002}, "part.thickness: a mesh that is a middle surface is not simulated yet"),
+        ({"thickness": 0.0002}, "is closed, and has no middle surface"),
+        ({"thickness": 0.0}, "part.thickness"),
+        ({"thickness": 0.0002, "as": "rod"}, "a rod's mesh is closed"),
         ({"as": "membrane"}, "expected one of solid, shell, rod, auto"),
     ],
 )
-def test_what_is_no_solid_is_refused(tmp_path: Path, more: dict[str, object], message: str) -> None:
+def test_what_a_part_cannot_be_is_refused(tmp_path: Path, more: dict[str, object], message: str) -> None:
     stored(tmp_path, cube())
     with pytest.raises(CaptureError) as caught:
         read_part(tmp_path, Entry({"name": "a", "mesh": "m.ply", **more}, "capture.json", "part"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,13 +11,13 @@ import trimesh
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import fault
 from mphygs.capture.files import file_inside
-from mphygs.capture.mesh_files import mesh_content
 from mphygs.capture.overlap import just_inside, winding_number
+from mphygs.capture.sheets import read_sheet
+from mphygs.capture.triangles import directed_edges, loaded, merge, numbered
 from mphygs.capture.written import replace_file
 
 # What a part may be simulated as, as files state it.
 _SHAPES = ("solid", "shell", "rod", "auto")
-_SOLID = 'a closed mesh of the whole part, "as": "solid" (or "auto", which is the same today)'
 _MOST_BODIES = 500
 _PROBED = 20  # corners of a body that are looked at
 # Of the whole volume, that bodies may share: where they are stuck into one another a little.
@@ -60,16 +59,23 @@ class Part:
 
 
 def read_part(folder: Path, entry: Entry) -> Part:
-    """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent), `as`."""
+    """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent), `as`
+    ("solid" when absent), `thickness` [m] where the mesh is the middle surface of a sheet."""
     entry.check_keys(required=("name", "mesh"), optional=("scale", "as", "thickness"))
     name = entry["name"].name()
     shape = given.choice(_SHAPES) if (given := entry.get("as")) else "solid"
-    if thickness := entry.get("thickness"):
-        raise thickness.fault("a mesh that is a middle surface is not simulated yet", _SOLID)
     scale = 1.0
     if given := entry.get("scale"):
         scale = given.within(1e-12, 1e12, "a number above zero (file unit -> metre)")
-    vertices, faces = read_mesh(file_inside(folder, entry["mesh"]))
+    path = file_inside(folder, entry["mesh"])
+    if thickness := entry.get("thickness"):
+        if shape == "rod":
+            raise thickness.fault("a rod's mesh is closed", '"as": "shell" or "auto" beside it')
+        given = thickness.within(1e-7, 1.0, "a length above zero [m]")
+        vertices, faces = read_sheet(path, given / scale)
+        shape = "shell" if not entry.get("as") else shape
+    else:
+        vertices, faces = read_mesh(path)
     return Part(name=name, vertices=vertices * scale, faces=faces, shape=shape)
 
 
@@ -79,30 +85,9 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     Raises CaptureError when the file cannot be read, is not finite, or is not a closed surface.
     """
     expected = "a closed triangle mesh that trimesh reads (.ply, .stl, .obj, .off, ...)"
-    if not path.suffix:
-        raise fault(str(path), "has no file ending", expected)
-    content = mesh_content(path, expected)
-    try:
-        # from memory, so that no reader follows names in the file to other files
-        content = io.BytesIO(content)
-        mesh = trimesh.load_mesh(content, file_type=path.suffix[1:].lower(), process=False)
-        vertices = np.array(mesh.vertices, dtype=np.float64)
-        faces = np.array(mesh.faces, dtype=np.int64)
-    except Exception as error:  # the readers raise whatever a damaged file trips them with
-        reason = str(error) or type(error).__name__
-        raise fault(str(path), f"cannot be read as a mesh, or is truncated ({reason})", expected) from error
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or len(faces) == 0:
-        raise fault(str(path), "has no triangles", expected)
-    if not np.isfinite(vertices).all():
-        raise fault(
-            f"{path}: vertex {int(np.argwhere(~np.isfinite(vertices))[0, 0])}", "is not finite", expected
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        worst = faces.min() if faces.min() < 0 else faces.max()
-        raise fault(str(path), f"a face names vertex {worst} of {len(vertices)}, counted from 0", expected)
-    vertices, faces = _compact(vertices, faces)
+    vertices, faces = loaded(path, expected)
     if not _is_closed(faces):
-        vertices, faces = _merge(vertices, faces)
+        vertices, faces = merge(vertices, faces)
     if not _is_closed(faces):
         faces = _wind(path, vertices, faces)
     _check_twice(path, vertices, faces)
@@ -126,50 +111,25 @@ def write_mesh(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     replace_file(path, header.encode("ascii") + vertices.astype("<f8").tobytes() + rows.tobytes())
 
 
-def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Without vertices that no face names and faces that name a vertex twice; the order is kept."""
-    corners = np.sort(faces, axis=1)
-    faces = faces[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
-    used, index = np.unique(faces, return_inverse=True)
-    return vertices[used], index.reshape(-1, 3)
-
-
-def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh with vertices merged that lie within 1e-6 of its size of one another."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    digits = 6 - int(np.floor(np.log10(max(float(mesh.scale), 1e-300))))
-    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=digits)
-    return _compact(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64))
-
-
-def _directed_edges(faces: np.ndarray) -> np.ndarray:
-    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-
-
 def _is_closed(faces: np.ndarray) -> bool:
     """Whether every edge is walked as often one way as the other: no boundary, one winding.
 
     Edges shared by four faces, as where two voxels touch along one, are allowed.
     """
-    edges = _directed_edges(faces)
-    _, index = np.unique(_numbered(np.sort(edges, axis=1)), return_inverse=True)
+    edges = directed_edges(faces)
+    _, index = np.unique(numbered(np.sort(edges, axis=1)), return_inverse=True)
     return not np.bincount(index, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).any()
-
-
-def _numbered(edges: np.ndarray) -> np.ndarray:
-    """One number for each pair of (N, 2) numbers from 0 to below 2^31, the same for the same pair; (N,)."""
-    return edges[:, 0] << 31 | edges[:, 1]
 
 
 def _same_rows(rows: np.ndarray) -> np.ndarray:
     """(N,) counted from 0, the same for rows (N, 3), below 2^31, that are the same."""
-    pairs = np.unique(_numbered(rows[:, :2]), return_inverse=True)[1]
-    return np.unique(_numbered(np.stack([pairs, rows[:, 2]], axis=1)), return_inverse=True)[1]
+    pairs = np.unique(numbered(rows[:, :2]), return_inverse=True)[1]
+    return np.unique(numbered(np.stack([pairs, rows[:, 2]], axis=1)), return_inverse=True)[1]
 
 
 def _wind(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The faces turned to one winding; CaptureError when the surface has a boundary."""
-    numbers, count = np.unique(_numbered(np.sort(_directed_edges(faces), axis=1)), return_counts=True)
+    numbers, count = np.unique(numbered(np.sort(directed_edges(faces), axis=1)), return_counts=True)
     open_edges = np.stack([numbers >> 31, numbers & (1 << 31) - 1], axis=1)[count % 2 == 1]
     expected = "a closed surface, every edge shared by two faces"
     if len(open_edges):
@@ -204,7 +164,7 @@ def _turn_outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.nda
     """
     if _volume(vertices, faces) < 0:
         faces = faces[:, ::-1]
-    label = trimesh.graph.connected_component_labels(_directed_edges(faces), node_count=len(vertices))[
+    label = trimesh.graph.connected_component_labels(directed_edges(faces), node_count=len(vertices))[
         faces[:, 0]
     ]
     bodies = np.unique(label)

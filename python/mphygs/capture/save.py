@@ -11,7 +11,7 @@ import numpy as np
 
 from mphygs.capture.actuators import Actuator, Force, Pressure, Tendon
 from mphygs.capture.checks import check_capture
-from mphygs.capture.meshes import write_mesh
+from mphygs.capture.meshes import Part, write_mesh
 from mphygs.capture.record import Capture, Sequence
 from mphygs.capture.sensors import FORCE, Sensor
 from mphygs.capture.written import replace_arrays, replace_file
@@ -33,7 +33,8 @@ def save_capture(capture: Capture, folder: str | Path) -> None:
     shape: dict[str, object] = {}
     if capture.parts:
         shape["parts"] = [
-            {"name": part.name, "mesh": f"{part.name}.ply", "scale": 1.0} for part in capture.parts
+            {"name": part.name, "mesh": f"{part.name}.ply", "scale": 1.0, **_shape_of(part)}
+            for part in capture.parts
         ]
         for part in capture.parts:
             write_mesh(folder / f"{part.name}.ply", part.vertices, part.faces)
@@ -133,6 +134,10 @@ def _write_actuator(actuator: Actuator, sequence: str, folder: Path) -> dict[str
     entry["from"] = actuator.start_frame
     entry |= {} if actuator.end_frame is None else {"until": actuator.end_frame}
     return entry | ({"unknown": list(actuator.unknown)} if actuator.unknown else {})
+
+
+def _shape_of(part: Part) -> dict:
+    return {} if part.shape == "solid" else {"as": part.shape}
 
 
 def _copy(source: Path, target: Path) -> str:
