@@ -538,7 +538,7 @@ def test_numbers_that_explain_far_more_are_fitted(monkeypatch: pytest.MonkeyPatc
 def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     monkeypatch: pytest.MonkeyPatch, left: float
 ) -> None:
-    """left: the rival's excess on the lender's grid, less what the grid changes."""
+    """left: the rival's excess on the grid of the Jacobians, less what the grid changes."""
     went: list[tuple[str, float]] = []
     # So much do materials cost that are not the best ones.
     costs = {5e4: 9.0, 6e4: 1.0}
@@ -551,7 +551,7 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     there = Problem()
 
     def corrected_coarse_problem(_experiment: object, best: Step) -> Problem:
-        assert best.lender == 0.5 * SPACING
+        assert best.jacobian_spacing == 0.5 * SPACING
         return there
 
     def rival_on_coarse_grid(
@@ -559,17 +559,18 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     ) -> Step:
         assert problem is there
         went.append(("carried over", step.belief[KEY].value))
-        return replace(step, spacing=best.spacing, lender=best.lender, assessment=excess_of(left))
+        grids = {"spacing": best.spacing, "jacobian_spacing": best.jacobian_spacing}
+        return replace(step, assessment=excess_of(left), **grids)
 
     def fitted_by_coarse_jacobians(
-        _experiment: object, step: Step, spacing: float, lender: float, _report: object
+        _experiment: object, step: Step, spacing: float, jacobian_spacing: float, _report: object
     ) -> Step:
-        assert (spacing, lender) == (0.4 * SPACING, 0.5 * SPACING)
+        assert (spacing, jacobian_spacing) == (0.4 * SPACING, 0.5 * SPACING)
         went.append(("fitted", step.belief[KEY].value))
         return replace(step, assessment=excess_of(0.045))
 
     def on_required_grid(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
-        return replace(steps[-1], spacing=0.4 * SPACING, lender=0.5 * SPACING)
+        return replace(steps[-1], spacing=0.4 * SPACING, jacobian_spacing=0.5 * SPACING)
 
     def at(step: Step, young: float) -> Step:
         return replace(step, belief=step.belief.with_parameter(KEY, value=young))

@@ -67,11 +67,11 @@ def test_what_is_needed_stays() -> None:
 
 
 def test_a_coarse_grid_leads_as_far_as_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lender(experiment: Experiment, spacing: float) -> Problem:
+    def jacobian_source(experiment: Experiment, spacing: float) -> Problem:
         assert spacing == SPACING
         return experiment.problem(1.5 * SPACING)
 
-    monkeypatch.setattr(effect_pruning, "jacobian_source", lender)
+    monkeypatch.setattr(effect_pruning, "jacobian_source", jacobian_source)
     experiment, _, last = both(0.0)
     assert with_effects_pruned(experiment, last, ["gravity"]).belief.effects == ("viscosity",)
 

@@ -480,11 +480,11 @@ def told(
         return after
 
     def with_budget(
-        _experiment: object, one: Step, _report: object = None, *, beside: float | None = None
+        _experiment: object, one: Step, _report: object = None, *, refinement_spacing: float | None = None
     ) -> Step:
-        assert beside in (None, trying())
-        done.append("budget" if beside is None else "rough")
-        if beside is None or shares is None:
+        assert refinement_spacing in (None, trying())
+        done.append("budget" if refinement_spacing is None else "rough")
+        if refinement_spacing is None or shares is None:
             return one
         budget = dict(zip(("discretisation", "physics"), shares, strict=True))
         return replace(one, assessment=replace(one.assessment, budget=budget))
@@ -587,12 +587,12 @@ def test_a_search_on_a_coarser_grid_begins_where_the_model_was_on_it(monkeypatch
     monkeypatch.setattr(probing, "on_grid", lambda _e, step, _s, _r, **_: begun.append(step.belief))
     near, far = (truth.with_parameter(FREE[0], value=6e4 * factor) for factor in (0.99, 1.5))
     for rough, now, expected in ((near, far, near), (far, near, near), (None, far, far)):
-        here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, rough=rough)
+        here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, coarse_belief=rough)
         probing.on_coarse_grid(experiment, here, COARSE)
         assert begun.pop() is expected
     # A model that has changed since begins where it is.
     fixed = near.with_parameter(FREE[0], free=False)
-    other = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=far, rough=fixed)
+    other = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=far, coarse_belief=fixed)
     probing.on_coarse_grid(experiment, other, COARSE)
     assert begun.pop() is far
 
@@ -601,8 +601,8 @@ def test_a_step_on_a_finer_grid_knows_where_it_was_on_the_coarser() -> None:
     experiment, truth = scene()
     step = step_at(experiment, truth.with_parameter(FREE[0], value=6.3e4), COARSE)
     fine = grids.on_grid(experiment, step, FINE, tangents=False)
-    assert fine.rough is step.belief is not fine.belief
-    assert grids.on_grid(experiment, fine, COARSE, tangents=False).rough is None
+    assert fine.coarse_belief is step.belief is not fine.belief
+    assert grids.on_grid(experiment, fine, COARSE, tangents=False).coarse_belief is None
 
 
 class Recordings:
@@ -722,7 +722,7 @@ def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
             misfit = misfits[belief[FREE[0]].value]
             return SimpleNamespace(misfit=misfit, cost=misfit**2)
 
-    def approached(problem: Asked, _lender: object, belief: Belief, **_: object) -> Belief:
+    def approached(problem: Asked, _jacobian_problem: object, belief: Belief, **_: object) -> Belief:
         if misfits[belief[FREE[0]].value] is None:
             raise SimulationError("unstable")
         return belief
@@ -752,7 +752,7 @@ def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
         # at the noise; on a fine grid; by Jacobians of another; what sets in; fitted to all frames
         (1.02, 1.01, {}, False),
         (1.1, 1.04, {"spacing": None}, False),
-        (1.1, 1.04, {"lender": 0.01}, False),
+        (1.1, 1.04, {"jacobian_spacing": 0.01}, False),
         (1.1, 1.04, {"added": ("contact",)}, False),
         (1.1, 1.04, {"reconciled": True}, False),
     ],

@@ -514,7 +514,9 @@ def test_a_coarser_grid_leads_a_refit(monkeypatch: pytest.MonkeyPatch) -> None:
     count = len(asked)
     assert set(asked) == {SPACING}
     asked.clear()
-    led = start_refit(experiment, before, entry, SPACING, iterations=4, lender=experiment.problem(coarse))
+    led = start_refit(
+        experiment, before, entry, SPACING, iterations=4, jacobian_problem=experiment.problem(coarse)
+    )
     assert asked[0] == coarse and asked.count(SPACING) < count
     assert led.evaluation.chi_square == pytest.approx(alone.evaluation.chi_square, rel=0.05)
     assert led.belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.1)

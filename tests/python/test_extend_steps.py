@@ -124,7 +124,8 @@ def same(step: Step, other: Step) -> None:
     assert other.assessment.ratio == step.assessment.ratio
     assert other.assessment.budget == step.assessment.budget
     assert other.explained == step.explained
-    for key in ("spacing", "lender", "beside", "added", "ties", "since", "dropped", "reconciled", "warnings"):
+    grids = ("spacing", "jacobian_spacing", "refinement_spacing", "window_share")
+    for key in (*grids, "added", "ties", "dropped", "reconciled", "warnings"):
         assert getattr(other, key) == getattr(step, key)
 
 
@@ -141,12 +142,12 @@ def test_a_step_is_restored_as_it_was() -> None:
     experiment, plain_step = bar()
     same(plain_step, again(experiment, plain_step))
     full = replace(
-        plain_step, added=("viscosity",), ties=("wind",), since=0.25, reconciled=True, dropped=("gravity",),
-        warnings=("something",),
+        plain_step, added=("viscosity",), ties=("wind",), window_share=0.25, reconciled=True,
+        dropped=("gravity",), warnings=("something",),
     )  # fmt: skip
     same(full, again(experiment, full, ("gravity",)))
     rough = plain_step.belief.with_parameter(KEY, value=5e4)
-    kept = again(experiment, replace(full, rough=rough)).rough
+    kept = again(experiment, replace(full, coarse_belief=rough)).coarse_belief
     assert document_of_belief(kept) == document_of_belief(rough)
 
 
@@ -156,7 +157,7 @@ def test_a_step_is_restored_with_the_grids_share() -> None:
     assert known.assessment.budget["discretisation"] > 0.0 == step.assessment.budget["discretisation"]
     same(known, again(experiment, known))
     # A coarser grid's word is not a finer one's.
-    rough = with_budget(experiment, step, beside=1.5 * COARSE)
+    rough = with_budget(experiment, step, refinement_spacing=1.5 * COARSE)
     assert not np.array_equal(rough.compared["a"].refinement, known.compared["a"].refinement)
     same(rough, again(experiment, rough))
 
@@ -164,7 +165,7 @@ def test_a_step_is_restored_with_the_grids_share() -> None:
 def test_a_step_is_restored_with_the_tangents_that_it_borrowed() -> None:
     experiment, step = bar()
     lent = on_finer_grid(experiment, replace(step, added=("viscosity",)))
-    assert lent.lender == COARSE != lent.spacing
+    assert lent.jacobian_spacing == COARSE != lent.spacing
     same(lent, again(experiment, lent))
 
 

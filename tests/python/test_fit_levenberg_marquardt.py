@@ -228,7 +228,7 @@ def test_the_jacobians_of_a_coarser_grid_lead_near_the_minimum() -> None:
     belief = approached(fine, coarse, start(), **tight)
     assert fine.jacobians == 0 < coarse.jacobians and coarse.forwards == 0
     np.testing.assert_allclose(belief.coordinates, TRUTH, atol=1e-3)
-    solution = minimise(fine, start(), lender=Coarse(), **tight)
+    solution = minimise(fine, start(), jacobian_problem=Coarse(), **tight)
     np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-5)
     assert 0 < fine.jacobians < alone.jacobians
 
@@ -239,9 +239,9 @@ def test_lent_jacobians_that_hardly_help_are_no_longer_asked_for(monkeypatch: py
 
     def lent(leads: float) -> tuple[int, float]:
         monkeypatch.setattr(levenberg_marquardt, "LEADS", leads)
-        lender = Coarse()
-        found = approached(Astray(), lender, start(), tolerance=1e-8, relative_tolerance=0.0)
-        return lender.jacobians, Lacking().evaluate(found).cost
+        jacobian_problem = Coarse()
+        found = approached(Astray(), jacobian_problem, start(), tolerance=1e-8, relative_tolerance=0.0)
+        return jacobian_problem.jacobians, Lacking().evaluate(found).cost
 
     (few, near), (many, best) = lent(1e-2), lent(0.0)
     assert few < many and best <= near < 1.01 * best
@@ -258,9 +258,9 @@ def test_a_lender_that_breaks_down_loses_nothing() -> None:
 
     before = Toy().evaluate(start()).cost
     for good, share in ((0, 1.0), (1, 0.5)):
-        lender = Breaking()
-        lender.good = good
-        found = approached(Toy(), lender, start())
+        jacobian_problem = Breaking()
+        jacobian_problem.good = good
+        found = approached(Toy(), jacobian_problem, start())
         assert Toy().evaluate(found).cost <= share * before
     with pytest.raises(SimulationError):
         approached(Toy(limit=-np.inf), Coarse(), start())

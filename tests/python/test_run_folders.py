@@ -201,7 +201,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_folder_of_somebody_else_is_refused(files: tuple[str, ...], tmp_path: Path) -> None:
     before = mine(tmp_path / "mine", *files)
     with pytest.raises(OptionError, match="expected a run folder, or a new one"):
-        claim(tmp_path / "mine", beside=("first-fit",), alone="steps.json")
+        claim(tmp_path / "mine", inner_runs=("first-fit",), alone="steps.json")
     for function in (claim_capture, claim_output):
         with pytest.raises(OptionError, match="expected a new folder"):
             function(tmp_path / "mine")

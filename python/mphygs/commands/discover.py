@@ -98,7 +98,7 @@ def discover_command(options: DiscoverOptions, console: Console) -> Answer:
     candidates = known_effects(options.effects)
     check_effects(options.transfer, candidates or ())
     if not options.resume:
-        claim(out, beside=(FIRST,), plugin=options.plugin)
+        claim(out, inner_runs=(FIRST,), plugin=options.plugin)
     given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
     seen = load_capture(options.capture) if options.capture is not None else None
     if not options.resume:

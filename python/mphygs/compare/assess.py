@@ -110,7 +110,7 @@ def _of_ranges(whitened: Whitened, of: Callable[[np.ndarray], T]) -> dict[str, d
         mine = whitened.sequence == number
         out[name] = {
             label: of(whitened.residual[mine & rows])
-            for label, rows in (("fit", whitened.seen), ("predict", ~whitened.seen))
+            for label, rows in (("fit", whitened.fitted), ("predict", ~whitened.fitted))
             if (mine & rows).any()
         }
     return out
@@ -267,7 +267,7 @@ def _ranges(whitened: Whitened) -> list[np.ndarray]:
     found = []
     for number in range(len(whitened.names)):
         mine = whitened.sequence == number
-        found += [rows for rows in (mine & whitened.seen, mine & ~whitened.seen) if rows.any()]
+        found += [rows for rows in (mine & whitened.fitted, mine & ~whitened.fitted) if rows.any()]
     return found
 
 
@@ -275,7 +275,7 @@ def _grid_share(whitened: Whitened) -> np.ndarray:
     """(N,) the change under refinement less what refitting absorbs: a fit to the fitted frames, which carries
     what it made of them on to the unseen ones."""
     share, count = whitened.refinement, whitened.jacobian.shape[1]
-    if not np.any(share) or not count or not whitened.seen.any():
+    if not np.any(share) or not count or not whitened.fitted.any():
         return share
     return share - whitened.jacobian @ _shift(whitened, np.eye(count) / GIVES_WAY**2)
 
@@ -285,9 +285,9 @@ def _shift(whitened: Whitened, prior: np.ndarray) -> np.ndarray:
 
     prior: (P, P) inverse covariance of the coordinates before anything was measured.
     """
-    jacobian = whitened.jacobian[whitened.seen]
+    jacobian = whitened.jacobian[whitened.fitted]
     inverse = np.linalg.pinv(jacobian.T @ jacobian + prior, rcond=1e-14, hermitian=True)
-    return inverse @ (jacobian.T @ whitened.refinement[whitened.seen])
+    return inverse @ (jacobian.T @ whitened.refinement[whitened.fitted])
 
 
 def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarray | None:

@@ -42,7 +42,7 @@ WEAKEST, STRONGEST = 1e-6, 1e8
 class SequenceForce:
     """The missing force of one sequence. values: (H, C, 3) [N/kg]; motion: with it."""
 
-    seen: SeenForce
+    seen_force: SeenForce
     values: np.ndarray
     motion: ForcedMotion
     residual: np.ndarray
@@ -103,7 +103,7 @@ def missing_force(
     }
     if not whole:
         raise SimulationError("no fitted frame moves: a force shows in none")
-    values = {name: np.zeros(seen.basis.shape) for name, seen in whole.items()}
+    values = {name: np.zeros(force.basis.shape) for name, force in whole.items()}
     state = _state(problem, whole, belief, values)
     before, rows = state.chi_square, sum(len(r) for r in state.residuals.values())
     stages = _stages(problem, whole, begin, values) if before > FAR**2 * rows else STAGES[-1:]
@@ -111,13 +111,16 @@ def missing_force(
         state = replace(state, belief=begin)
     channels_at, strength = state.belief, STRONGEST
     for share in stages:
-        narrow, seen = _narrowed(problem, whole, share)
-        channels = {name: Channels.of(s, channels_at) for name, s in seen.items()}
-        state = _state(problem, seen, state.belief, state.values)
+        narrow, seen_forces = _narrowed(problem, whole, share)
+        channels = {name: Channels.of(s, channels_at) for name, s in seen_forces.items()}
+        state = _state(problem, seen_forces, state.belief, state.values)
         count = iterations if share == stages[-1] else min(iterations, STAGE_ITERATIONS)
         state, strength = _descend(narrow, channels, state, count, share, say)
         channels_at = state.belief
-    found = {n: SequenceForce(seen[n], state.values[n], state.motions[n], state.residuals[n]) for n in seen}
+    found = {
+        n: SequenceForce(seen_forces[n], state.values[n], state.motions[n], state.residuals[n])
+        for n in seen_forces
+    }
     return MissingForce(state.belief, found, before, state.chi_square, rows, strength)
 
 
@@ -135,9 +138,9 @@ def _stages(
     """Shares of the frames in which a motion is followed: from the most on which it is not far off."""
     first = 0
     for k, share in enumerate(STAGES[:-1]):
-        narrow, seen = _narrowed(problem, whole, share)
+        narrow, seen_forces = _narrowed(problem, whole, share)
         try:
-            state = _state(narrow, seen, belief, values)
+            state = _state(narrow, seen_forces, belief, values)
         except SimulationError:
             break
         if state.chi_square > FAR**2 * sum(len(r) for r in state.residuals.values()):
@@ -147,9 +150,9 @@ def _stages(
 
 
 def _state(
-    problem: Problem, seen: Mapping[str, SeenForce], belief: Belief, values: dict[str, np.ndarray]
+    problem: Problem, seen_forces: Mapping[str, SeenForce], belief: Belief, values: dict[str, np.ndarray]
 ) -> _State:
-    runs = {name: s.run(belief, values[name]) for name, s in seen.items()}
+    runs = {name: s.run(belief, values[name]) for name, s in seen_forces.items()}
     prior = problem.prior_rows(belief)
     return _State(
         belief, values, {n: m for n, (m, _) in runs.items()}, {n: r for n, (_, r) in runs.items()}, *prior
@@ -165,7 +168,7 @@ def _descend(
     say: Callable[[str], None],
 ) -> tuple[_State, float]:
     """Steps until chi^2 is about N, or no step lowers it."""
-    seen = {name: c.seen for name, c in channels.items()}
+    seen_forces = {name: c.seen_force for name, c in channels.items()}
     rows = sum(len(r) for r in state.residuals.values())
     keys = [p.key for p in state.belief.free]
     matrix = _matrix(channels, state, keys)
@@ -174,7 +177,7 @@ def _descend(
     before: tuple[np.ndarray, np.ndarray] | None = None
     for iteration in range(iterations):
         now = state.chi_square
-        gradient = _gradient(seen, state, keys, exact)
+        gradient = _gradient(seen_forces, state, keys, exact)
         place = _flat(state, state.belief.coordinates)
         if before is not None:
             _learn(matrix.whole, place - before[0], gradient - before[1])
@@ -185,8 +188,9 @@ def _descend(
             # While the motion is far off, a stronger penalty would only give back what was gained.
             most = strength if now > STRAY * rows else STRONGEST
             strength, step, promised = _step(matrix, state, gradient, now, target, damping, most)
-            trial = _moved(problem, seen, state, length * step, matrix)
-            if trial is not None and _cost(trial, seen, strength) < _cost(state, seen, strength):
+            trial = _moved(problem, seen_forces, state, length * step, matrix)
+            here = _cost(state, seen_forces, strength)
+            if trial is not None and _cost(trial, seen_forces, strength) < here:
                 taken = trial
                 damping = max(0.3 * damping, 1e-3) if length == 1.0 else damping
                 break
@@ -234,17 +238,17 @@ def _matrix(channels: Mapping[str, Channels], state: _State, keys: list[str]) ->
         whole[mine, last] += block[inner, outer]
         whole[last, mine] += block[outer, inner]
         whole[last, last] += block[outer, outer]
-        penalty[mine, mine] = np.kron(channel.seen.basis.roughness, np.eye(3))
+        penalty[mine, mine] = np.kron(channel.seen_force.basis.roughness, np.eye(3))
     return _Matrix(whole, penalty, exact, slices)
 
 
 def _gradient(
-    seen: Mapping[str, SeenForce], state: _State, keys: list[str], exact: Mapping[str, np.ndarray]
+    seen_forces: Mapping[str, SeenForce], state: _State, keys: list[str], exact: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """Of half of chi^2 by all unknowns: exact, but for parameters that do not act in the simulation."""
     simulated = [k for k in keys if acts_in_simulation(state.belief[k])]
     pieces, coordinates = [], np.zeros(len(keys))
-    for name, s in seen.items():
+    for name, s in seen_forces.items():
         by_force, slopes = s.gradient(state.motions[name], state.residuals[name], simulated)
         pieces.append(by_force.ravel())
         own = -exact[name].T @ state.residuals[name]
@@ -304,7 +308,7 @@ def _step(
 
 
 def _moved(
-    problem: Problem, seen: Mapping[str, SeenForce], state: _State, step: np.ndarray, matrix: _Matrix
+    problem: Problem, seen_forces: Mapping[str, SeenForce], state: _State, step: np.ndarray, matrix: _Matrix
 ) -> _State | None:
     """The state after a step, None where it cannot be simulated."""
     count = len(state.belief.free)
@@ -314,11 +318,11 @@ def _moved(
         coordinates[logs] = np.clip(coordinates[logs], -LARGEST_LOG_STEP, LARGEST_LOG_STEP)
     values = {n: v + step[matrix.slices[n]].reshape(v.shape) for n, v in state.values.items()}
     try:
-        return _state(problem, seen, state.belief.at(state.belief.coordinates + coordinates), values)
+        return _state(problem, seen_forces, state.belief.at(state.belief.coordinates + coordinates), values)
     except SimulationError:
         return None
 
 
-def _cost(state: _State, seen: Mapping[str, SeenForce], strength: float) -> float:
-    square = sum(s.basis.square(state.values[n]) for n, s in seen.items())
+def _cost(state: _State, seen_forces: Mapping[str, SeenForce], strength: float) -> float:
+    square = sum(s.basis.square(state.values[n]) for n, s in seen_forces.items())
     return 0.5 * (state.chi_square + float(state.prior @ state.prior) + strength * square)

@@ -52,9 +52,9 @@ def rank_by_trials(
         else:
             groups[spec.name] = trials_of(spec, experiment.capture, problem, belief, evaluation)
 
-    def tried(own: Experiment, trial: Trial) -> Evaluation | str:
+    def tried(twin: Experiment, trial: Trial) -> Evaluation | str:
         try:
-            return own.window(problem.settings.spacing, share).evaluate(trial.belief, jacobian=False)
+            return twin.window(problem.settings.spacing, share).evaluate(trial.belief, jacobian=False)
         except SimulationError as error:
             return str(error)
 

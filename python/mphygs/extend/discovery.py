@@ -284,7 +284,7 @@ def discover_effects(
         steps[-1] = converged_fit(experiment, steps[-1], report)
         if steps[-1].added and not known_budget(steps[-1]):
             coarser = screening_spacing(experiment.capture)
-            steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
+            steps[-1] = with_budget(experiment, steps[-1], report, refinement_spacing=coarser)
         steps[-1] = bounded(with_simpler_effects(experiment, steps[-1], report), experiment)
     return replace(
         _conclude(

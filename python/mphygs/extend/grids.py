@@ -122,11 +122,16 @@ def on_grid(
         if softer is not None:
             belief = best_fitting(problem, (belief, softer))
         tell = report_of_iterations(report, f"{1e3 * spacing:.3g} mm")
-        lender = jacobian_source(experiment, spacing)
-        if step.since < 1.0 and has_onset(step):
-            belief = onset_on_grid(experiment, belief, step.since, lender, spacing, tell)
+        jacobian_problem = jacobian_source(experiment, spacing)
+        if step.window_share < 1.0 and has_onset(step):
+            belief = onset_on_grid(experiment, belief, step.window_share, jacobian_problem, spacing, tell)
         solution = minimise(
-            problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
+            problem,
+            belief,
+            iterations=FIRST,
+            relative_tolerance=1e-3,
+            jacobian_problem=jacobian_problem,
+            report=tell,
         )
         misfit = solution.evaluation.misfit
         if misfit > hopeless:
@@ -135,8 +140,8 @@ def on_grid(
         beyond = misfit > GROSS or _out_of_reach(experiment, step, solution, spacing)
         if not solution.converged and not beyond:
             # Where and how hard something is met, to the last digits, is the grid's.
-            rough = misfit >= NEAR_FLOOR or has_onset(step)
-            left, accuracy = ITERATIONS - FIRST, ROUGHLY if rough else 1e-3
+            far = misfit >= NEAR_FLOOR or has_onset(step)
+            left, accuracy = ITERATIONS - FIRST, ROUGHLY if far else 1e-3
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=accuracy, least=accuracy,
                 report=tell,
@@ -156,10 +161,10 @@ def on_grid(
         return None
     compared, assessment, persists = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
-    rough = step.belief if spacing < step.spacing else None
+    coarse_belief = step.belief if spacing < step.spacing else None
     changes = {
-        "spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough,
-        "persists": persists,
+        "spacing": spacing, "jacobian_spacing": None, "refinement_spacing": None, "moved": moved,
+        "coarse_belief": coarse_belief, "persists": persists,
     }  # fmt: skip
     return step.refitted(solution, compared, assessment, **changes)
 
@@ -191,13 +196,13 @@ def _to_last_digits(problem: Problem, belief: Belief, iterations: int = ITERATIO
 
 def converged_fit(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """The step with its numbers at the minimum (see `_to_last_digits`)."""
-    if step.lender is not None or step.assessment.worst > EXPLAINED:
+    if step.jacobian_spacing is not None or step.assessment.worst > EXPLAINED:
         return step  # what Jacobians of another grid lead to has none, and the grid's error hides them
     say = report or (lambda _text: None)
     problem = experiment.problem(step.spacing)
-    lender = jacobian_source(experiment, step.spacing)
+    jacobian_problem = jacobian_source(experiment, step.spacing)
     solution = relocated(
-        problem, step.solution, columns_of=lender, relative_tolerance=LAST_DIGITS, report=report
+        problem, step.solution, columns_of=jacobian_problem, relative_tolerance=LAST_DIGITS, report=report
     )
     solution = _to_last_digits(problem, solution.belief)
     if solution.belief is step.belief:
@@ -213,7 +218,7 @@ def converged_fit(experiment: Experiment, step: Step, report: Callable[[str], No
 def finely(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """An explained step on a grid as fine as the default one, where it is not at the noise and leaves less
     there: what is told of a model should be as near as a fit comes."""
-    coarser = step.lender is None and step.spacing > 1.1 * default_spacing(experiment.capture)
+    coarser = step.jacobian_spacing is None and step.spacing > 1.1 * default_spacing(experiment.capture)
     if not coarser or step.reconciled or has_onset(step) or step.assessment.worst <= AT_FLOOR:
         return step
     after = on_finer_grid(experiment, step, report)
@@ -245,20 +250,25 @@ def with_budget(
     step: Step,
     report: Callable[[str], None] | None = None,
     *,
-    beside: float | None = None,
+    refinement_spacing: float | None = None,
 ) -> Step:
     """The step with the discretisation's share of its misfit known, from one refinement.
 
-    beside: spacing of a coarser grid [m] that shows it well enough where nothing is decided by it, at a
-    hundredth of the work; a finer one is asked where it is not much coarser, or cannot carry the model.
+    refinement_spacing: spacing of a coarser grid [m] that shows it well enough where nothing is decided by
+    it, at a hundredth of the work; a finer one is asked where it is not much coarser, or cannot carry the
+    model.
     """
-    coarse = beside if beside is not None and beside > LENDS * step.spacing else None
+    refined_by = refinement_spacing
+    if refined_by is not None and refined_by <= LENDS * step.spacing:
+        refined_by = None
     try:
-        compared = experiment.with_refinement(step.compared, step.belief, step.spacing, beside=coarse)
+        compared = experiment.with_refinement(
+            step.compared, step.belief, step.spacing, refinement_spacing=refined_by
+        )
     except SimulationError:
-        return step if coarse is None else with_budget(experiment, step, report)
+        return step if refined_by is None else with_budget(experiment, step, report)
     assessment = experiment.assess(compared)
-    known = replace(step, compared=compared, assessment=assessment, beside=coarse)
+    known = replace(step, compared=compared, assessment=assessment, refinement_spacing=refined_by)
     report_budget(known, report)
     return known
 
@@ -305,7 +315,7 @@ def on_required_grid(
         return current
     if screening and current.assessment.worst > CLEAR:
         # What a coarser grid shows of it, at a tenth of the work, may say that it is far too little.
-        rough = with_budget(experiment, current, beside=screening_spacing(experiment.capture))
+        rough = with_budget(experiment, current, refinement_spacing=screening_spacing(experiment.capture))
         if _physics(rough):
             report_budget(rough, report)
             return rough

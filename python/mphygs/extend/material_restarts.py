@@ -58,9 +58,9 @@ def restarted_from_best_materials(
     restarted: list[Begun] = []
     for wave in waves(entries):
 
-        def start(own: Experiment, entry: RankedEffect) -> Solution | None:
+        def start(twin: Experiment, entry: RankedEffect) -> Solution | None:
             return start_refit(
-                own, base, entry, spacing, share=share, iterations=iterations, accuracy=accuracy, report=say
+                twin, base, entry, spacing, share=share, iterations=iterations, accuracy=accuracy, report=say
             )
 
         for entry, solution in zip(wave, side_by_side(experiment, start, wave), strict=True):

@@ -69,8 +69,10 @@ def add_effect(
         return _refitted(
             experiment, before, _started(before.belief, name, experiment), name, spacing, generator, report
         )
-    lender = jacobian_source(experiment, spacing)
-    begun = start_refit(experiment, before.solution, entry, spacing, lender=lender, report=report)
+    jacobian_problem = jacobian_source(experiment, spacing)
+    begun = start_refit(
+        experiment, before.solution, entry, spacing, jacobian_problem=jacobian_problem, report=report
+    )
     found = None
     if begun is not None:
         found = finish_refit(

@@ -82,9 +82,9 @@ def _with(
         "dropped": (*step.dropped, wide),
     }
     try:
-        if step.lender is not None:
+        if step.jacobian_spacing is not None:
             begun = replace(step, belief=belief)
-            after = fitted_by_coarse_jacobians(experiment, begun, step.spacing, step.lender, report)
+            after = fitted_by_coarse_jacobians(experiment, begun, step.spacing, step.jacobian_spacing, report)
             return after and replace(after, **changes)
         solution = minimise(
             experiment.problem(step.spacing),

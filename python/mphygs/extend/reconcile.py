@@ -55,15 +55,15 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
         for name in whole.fitted:
             belief = experiment.with_release(belief, name, step.spacing)
             whole.predictor(name, step.spacing)
-        lender = jacobian_source(whole, step.spacing)
+        jacobian_problem = jacobian_source(whole, step.spacing)
         problem, worst, enough = whole.problem(step.spacing), math.inf, False
-        if lender is not None:
+        if jacobian_problem is not None:
             # The coarse grid's Jacobians, at a fraction of the work, may be enough to say so.
-            belief = with_onset_fitted(problem, belief, lender=lender, report=tell)
-            belief = approached(problem, lender, belief, iterations=ITERATIONS, report=tell)
+            belief = with_onset_fitted(problem, belief, jacobian_problem=jacobian_problem, report=tell)
+            belief = approached(problem, jacobian_problem, belief, iterations=ITERATIONS, report=tell)
             worst, enough = _judged(whole, belief, step.spacing)
         if not enough:
-            if lender is None:
+            if jacobian_problem is None:
                 belief = with_onset_fitted(problem, belief, report=tell)
             solution = minimise(problem, belief, iterations=ITERATIONS, relative_tolerance=1e-3, report=tell)
             worst, enough = _judged(whole, solution.belief, step.spacing)

@@ -143,7 +143,7 @@ def start_refit(
     iterations: int = 3,
     hopeless: float = math.inf,
     accuracy: float = 1e-3,
-    lender: Problem | None = None,
+    jacobian_problem: Problem | None = None,
     report: Callable[[str], None] | None = None,
 ) -> Solution | None:
     """The first few iterations of a refit with the entry's effect, from half, one and two times its estimate,
@@ -152,8 +152,8 @@ def start_refit(
 
     share: of the fitted frames, from the first on, to refit on; hopeless: chi^2 above which it ends once an
     iteration brings little, or as many are made as any refit may have; accuracy: share of the cost that a
-    last step may promise; lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve.
-    Returns None where no such model can be simulated.
+    last step may promise; jacobian_problem: the same fit on a coarser grid, whose Jacobians lead as far as
+    they serve. Returns None where no such model can be simulated.
     """
     problem = experiment.window(spacing, share)
     starts = [_strongest(problem, before.belief, entry, start) for start in (entry.start, *entry.others)]
@@ -162,7 +162,7 @@ def start_refit(
         if start is None:
             continue
         try:
-            begun.append(_led(problem, before, entry, start, lender, accuracy))
+            begun.append(_led(problem, before, entry, start, jacobian_problem, accuracy))
         except SimulationError:
             continue
     if not begun:
@@ -248,14 +248,14 @@ def _led(
     before: Solution,
     entry: RankedEffect,
     start: Belief,
-    lender: Problem | None,
+    jacobian_problem: Problem | None,
     accuracy: float,
 ) -> Solution:
     """The first iteration from a start. Raises SimulationError where it cannot be simulated."""
     if entry.kind == "threshold":
-        start = with_onset_fitted(problem, hold_friction(start), lender=lender)
-    elif lender is not None:
-        start = approached(problem, lender, start)
+        start = with_onset_fitted(problem, hold_friction(start), jacobian_problem=jacobian_problem)
+    elif jacobian_problem is not None:
+        start = approached(problem, jacobian_problem, start)
     else:
         start = approached_from(problem, before, start)
     return minimise(problem, start, iterations=1, relative_tolerance=accuracy)
@@ -331,7 +331,7 @@ def unseen_gain(
 ) -> GainInterval | None:
     """Bootstrap interval of the log-likelihood gain over all unseen frames; None where there are too few."""
     a, b = whiten_all(before), whiten_all(after)
-    unseen = ~a.seen
+    unseen = ~a.fitted
     if not unseen.any():
         return None
     blocks = a.sequence[unseen] * 100_000 + a.frame[unseen] // BLOCK_FRAMES

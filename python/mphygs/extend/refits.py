@@ -121,9 +121,9 @@ def refits_of(
         late = [entry for entry in wave if entry not in chosen]
         fates |= {e.effect: "would stay behind, many times its promise or not" for e in late}
 
-        def start(own: Experiment, entry: RankedEffect, hopeless: float = hopeless) -> Solution | None:
+        def start(twin: Experiment, entry: RankedEffect, hopeless: float = hopeless) -> Solution | None:
             return start_refit(
-                own,
+                twin,
                 window[1],
                 entry,
                 spacing,
@@ -266,10 +266,10 @@ def _put_right(
         return []
     near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
 
-    def relocate(own: Experiment, item: Begun) -> Begun:
+    def relocate(twin: Experiment, item: Begun) -> Begun:
         _, entry, fit = item
         with suppress(SimulationError):
-            fit = relocated(own.problem(spacing), fit, report=say)
+            fit = relocated(twin.problem(spacing), fit, report=say)
         return fit.evaluation.chi_square, entry, fit
 
     placed = side_by_side(experiment, relocate, near)

@@ -38,19 +38,21 @@ def step_at(
     *,
     added: Sequence[str] = (),
     ties: Sequence[str] = (),
-    lender: float | None = None,
+    jacobian_spacing: float | None = None,
     refined: bool = False,
-    beside: float | None = None,
+    refinement_spacing: float | None = None,
     stays: bool = False,
 ) -> Step:
-    """The step that ended at a belief. lender, beside: see `Step`; refined: whether the discretisation's
-    share was asked for (where Jacobians are lent it always is); stays: whether a finer grid was seen to leave
-    its misfit as it is."""
-    evaluation = evaluated(experiment, belief, spacing, lender)
-    if lender is None:
-        compared = compared_on_grid(experiment, belief, spacing, refined=refined, beside=beside)
+    """The step that ended at a belief. jacobian_spacing, refinement_spacing: see `Step`; refined: whether the
+    discretisation's share was asked for (where Jacobians are lent it always is); stays: whether a finer grid
+    was seen to leave its misfit as it is."""
+    evaluation = evaluated(experiment, belief, spacing, jacobian_spacing)
+    if jacobian_spacing is None:
+        compared = compared_on_grid(
+            experiment, belief, spacing, refined=refined, refinement_spacing=refinement_spacing
+        )
     else:
-        compared = compared_on_both_grids(experiment, belief, spacing, lender)
+        compared = compared_on_both_grids(experiment, belief, spacing, jacobian_spacing)
     compared = staying(compared) if stays else compared
     solution = Solution(belief, evaluation, (evaluation.cost,), True, "kept")
     assessment = experiment.assess(compared)
@@ -62,8 +64,8 @@ def step_at(
         spacing,
         tuple(added),
         tuple(ties),
-        lender=lender,
-        beside=beside,
+        jacobian_spacing=jacobian_spacing,
+        refinement_spacing=refinement_spacing,
     )
 
 
@@ -72,14 +74,14 @@ def state_of(step: Step) -> dict[str, object]:
     return {
         "belief": document_of_belief(step.belief),
         "spacing": step.spacing,
-        "lender": step.lender,
+        "jacobian_spacing": step.jacobian_spacing,
         "refined": known_budget(step),
         "stays": step.stays,
         "persists": step.persists,
-        "beside": step.beside,
+        "refinement_spacing": step.refinement_spacing,
         "moved": dict(step.moved),
-        "rough": step.rough and document_of_belief(step.rough),
-        "since": step.since,
+        "coarse_belief": step.coarse_belief and document_of_belief(step.coarse_belief),
+        "window_share": step.window_share,
         "reconciled": step.reconciled,
         "warnings": list(step.warnings),
     }
@@ -92,25 +94,25 @@ def restored(
     before: Sequence[str] = (),
 ) -> Step:
     """The step of a state and its document. before: effects of the step before it."""
-    rough = state.get("rough")
+    coarse = state["coarse_belief"]
     step = step_at(
         experiment,
         belief_from_document(state["belief"]),
         state["spacing"],
         added=document["added"],
         ties=document["ties"],
-        lender=state["lender"],
+        jacobian_spacing=state["jacobian_spacing"],
         refined=state["refined"],
-        beside=state["beside"],
+        refinement_spacing=state["refinement_spacing"],
         stays=state.get("stays", False),
     )
     return replace(
         step,
         dropped=tuple(name for name in before if name not in document["effects"]),
-        since=state["since"],
+        window_share=state["window_share"],
         reconciled=state["reconciled"],
         moved=state["moved"],
-        rough=rough and belief_from_document(rough),
+        coarse_belief=coarse and belief_from_document(coarse),
         warnings=tuple(state["warnings"]),
         persists=state.get("persists", False),
         table=tuple(document.get("table", ())),
@@ -139,7 +141,9 @@ def uncertainty(step: Step, experiment: Experiment) -> Uncertainty:
     evaluation = step.solution.evaluation
     noise = covariance(evaluation)
     information = information_of(evaluation, len(step.belief.free))
-    grid = experiment.problem(step.spacing if step.lender is None else step.lender)  # that of the Jacobian
+    grid = experiment.problem(
+        step.spacing if step.jacobian_spacing is None else step.jacobian_spacing
+    )  # that of the Jacobian
     change = _grid_change(step, grid) if movable(step.belief) else None
     known = with_place_uncertainty(grid, step.belief, evaluation, noise, information, change)
     columns = boundary_columns(experiment.capture.parts, step.belief.free)

@@ -122,8 +122,8 @@ class _Borrowing:
     lowest: cost and belief of the best that was evaluated.
     """
 
-    def __init__(self, problem: Problem, lender: Problem) -> None:
-        self._problem, self._lender = problem, lender
+    def __init__(self, problem: Problem, jacobian_problem: Problem) -> None:
+        self._problem, self._jacobian_problem = problem, jacobian_problem
         self._known: list[tuple[Belief, Evaluation]] = []
         self.lowest: tuple[float, Belief] | None = None
 
@@ -140,9 +140,11 @@ class _Borrowing:
                 self.lowest = found.cost, belief
 
         def lent() -> np.ndarray:
-            slopes = self._lender.evaluate(belief).jacobian
+            slopes = self._jacobian_problem.evaluate(belief).jacobian
             if len(slopes) != len(found.residual):
-                raise ValueError("the lender has other rows; expected the same frames and markers")
+                raise ValueError(
+                    "the problem of the Jacobians has other rows; expected the same frames and markers"
+                )
             return slopes
 
         return replace(found, slopes=lent() if jacobian else lent)
@@ -153,7 +155,7 @@ class _Borrowing:
 
 def approached(
     problem: Problem,
-    lender: Problem,
+    jacobian_problem: Problem,
     belief: Belief,
     *,
     iterations: int = 8,
@@ -163,11 +165,11 @@ def approached(
 ) -> Belief:
     """The belief nearer to the minimum of a problem, by Jacobians of another one that are cheaper.
 
-    lender: the same fit on a coarser grid: how the motion answers to the materials is much the same there,
-    and what differs the secants put right. Ends where they hardly help; a minimum is not promised.
-    iterations: Jacobians of the lender. Raises SimulationError when the belief cannot be simulated.
+    jacobian_problem: the same fit on a coarser grid: how the motion answers to the materials is much the same
+    there, and what differs the secants put right. Ends where they hardly help; a minimum is not promised.
+    iterations: Jacobians of that grid. Raises SimulationError when the belief cannot be simulated.
     """
-    borrowing = _Borrowing(problem, lender)
+    borrowing = _Borrowing(problem, jacobian_problem)
     try:
         borrowing.minimise(
             belief,
@@ -180,29 +182,30 @@ def approached(
     except SimulationError:
         if borrowing.lowest is None:
             raise
-        # The lender cannot carry what the problem can.
+        # The coarser grid cannot carry what the problem's can.
     return borrowing.lowest[1]
 
 
-def with_jacobian_of(lender: Problem, problem: Problem, belief: Belief) -> Evaluation:
-    """A problem's evaluation, its Jacobian that of a lender. Raises SimulationError."""
-    return _Borrowing(problem, lender).evaluate(belief)
+def with_jacobian_of(jacobian_problem: Problem, problem: Problem, belief: Belief) -> Evaluation:
+    """A problem's evaluation, its Jacobian that of another one. Raises SimulationError."""
+    return _Borrowing(problem, jacobian_problem).evaluate(belief)
 
 
 def fit_by_borrowed_jacobians(
     problem: Problem,
-    lender: Problem,
+    jacobian_problem: Problem,
     belief: Belief,
     *,
     iterations: int = 8,
     relative_tolerance: float = 1e-3,
     report: Callable[[int, Evaluation, Belief], None] | None = None,
 ) -> Solution:
-    """The best that Jacobians of a lender lead to, as a solution whose Jacobian is the lender's as well.
+    """The best that Jacobians of another problem lead to, as a solution whose Jacobian is of that one as
+    well.
 
-    lender: the same fit on a coarser grid. Raises SimulationError where either cannot be simulated.
+    jacobian_problem: the same fit on a coarser grid. Raises SimulationError where either cannot be simulated.
     """
-    borrowing = _Borrowing(problem, lender)
+    borrowing = _Borrowing(problem, jacobian_problem)
     solution = borrowing.minimise(
         belief, iterations=iterations, relative_tolerance=relative_tolerance, report=report
     )
@@ -232,7 +235,7 @@ def minimise(
     relative_tolerance: float = 1e-4,
     longest_step: float = LONGEST_STEP,
     trials: int = 10,
-    lender: Problem | None = None,
+    jacobian_problem: Problem | None = None,
     gross: float = np.inf,
     dwell: tuple[int, float] | None = None,
     hopeless: float = np.inf,
@@ -245,18 +248,22 @@ def minimise(
     iterations: Jacobians, each used for a few steps; tolerance, relative_tolerance: stop when the next step
     promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
     longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
-    lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
-    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; dwell: iterations,
-    and the misfit [sigma] above which it ends after these; hopeless: chi^2 above which it ends after the
-    first iteration; least: share of the cost that an iteration has to bring, else it is the last one; known:
-    the evaluation of the starting belief, where it is at hand.
-    Raises SimulationError when even the starting belief cannot be simulated.
+    jacobian_problem: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see
+    `approached`); gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it;
+    dwell: iterations, and the misfit [sigma] above which it ends after these; hopeless: chi^2 above which it
+    ends after the first iteration; least: share of the cost that an iteration has to bring, else it is the
+    last one; known: the evaluation of the starting belief, where it is at hand. Raises SimulationError when
+    even the starting belief cannot be simulated.
     """
-    if lender is not None:
+    if jacobian_problem is not None:
         belief = approached(
-            problem, lender, belief, tolerance=tolerance, relative_tolerance=max(relative_tolerance, LENT)
+            problem,
+            jacobian_problem,
+            belief,
+            tolerance=tolerance,
+            relative_tolerance=max(relative_tolerance, LENT),
         )
-    current = known if known is not None and lender is None else problem.evaluate(belief)
+    current = known if known is not None and jacobian_problem is None else problem.evaluate(belief)
     history = [current.cost]
     damping, reason, converged = FIRST_DAMPING, "iterations used up", False
 
