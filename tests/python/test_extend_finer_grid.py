@@ -20,8 +20,8 @@ from mphygs.extend.finer_grid import (
 from mphygs.extend.grids import complete, converged_fit
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
+from mphygs.fit.borrowed_jacobians import fit_by_borrowed_jacobians
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import fit_by_borrowed_jacobians
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
 

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from mphygs.extend.finer_grid import jacobian_source
 from mphygs.extend.grids import complete
 from mphygs.extend.step import NEGLIGIBLE, Step, does_alike
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached, minimise, report_of_iterations
+from mphygs.fit.levenberg_marquardt import minimise, report_of_iterations
 from mphygs.fit.problem import Evaluation
 from mphygs.simulate.errors import SimulationError
 

@@ -9,13 +9,9 @@ import numpy as np
 
 from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR, PRACTICAL_FLOOR, Compared
 from mphygs.extend.step import Step, beside_coarser, from_grid_to_grid, known_budget, staying
+from mphygs.fit.borrowed_jacobians import approached, fit_by_borrowed_jacobians, with_jacobian_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import (
-    fit_by_borrowed_jacobians,
-    minimise,
-    report_of_iterations,
-    with_jacobian_of,
-)
+from mphygs.fit.levenberg_marquardt import minimise, report_of_iterations
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.schedule import screening_spacing
 from mphygs.model.belief import Belief
@@ -138,12 +134,13 @@ def rival_on_coarse_grid(
     say = report or (lambda _text: None)
     say(f"{', '.join(rival.added)} on {1e3 * jacobian_spacing:.3g} mm, less what the grid changes")
     try:
+        coarser = jacobian_source(experiment, jacobian_spacing)
+        belief = rival.belief if coarser is None else approached(problem, coarser, rival.belief)
         solution = minimise(
             problem,
-            rival.belief,
+            belief,
             iterations=ITERATIONS,
             relative_tolerance=RIVALS_ACCURACY,
-            jacobian_problem=jacobian_source(experiment, jacobian_spacing),
             report=report_of_iterations(report, f"{1e3 * jacobian_spacing:.3g} mm"),
         )
         compared = experiment.compare(solution.belief, jacobian_spacing, jacobian=False)

@@ -30,6 +30,7 @@ from mphygs.extend.step import (
     leaves_most,
     staying,
 )
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise, report_of_iterations
 from mphygs.fit.place_fit import relocated
@@ -125,14 +126,9 @@ def on_grid(
         jacobian_problem = jacobian_source(experiment, spacing)
         if step.window_share < 1.0 and has_onset(step):
             belief = onset_on_grid(experiment, belief, step.window_share, jacobian_problem, spacing, tell)
-        solution = minimise(
-            problem,
-            belief,
-            iterations=FIRST,
-            relative_tolerance=1e-3,
-            jacobian_problem=jacobian_problem,
-            report=tell,
-        )
+        if jacobian_problem is not None:
+            belief = approached(problem, jacobian_problem, belief)
+        solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, report=tell)
         misfit = solution.evaluation.misfit
         if misfit > hopeless:
             say(f"{', '.join(step.added)}: given up, others leave less")

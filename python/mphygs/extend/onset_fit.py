@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from mphygs.fit.levenberg_marquardt import Solution, approached, minimise
+from mphygs.fit.borrowed_jacobians import LENT, approached
+from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -66,12 +67,13 @@ def fit_onset_then_all(
     """
     belief = with_onset_fitted(problem, belief, jacobian_problem=jacobian_problem, report=report)
     first = 1 if math.isfinite(hopeless) else iterations
+    if jacobian_problem is not None:
+        belief = approached(problem, jacobian_problem, belief, relative_tolerance=max(accuracy, LENT))
     found = minimise(
         problem,
         belief,
         iterations=first,
         relative_tolerance=accuracy,
-        jacobian_problem=jacobian_problem,
         hopeless=hopeless,
         report=report,
     )

@@ -9,8 +9,8 @@ from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.extend.finer_grid import jacobian_source
 from mphygs.extend.onset_fit import fit_onset_then_all, with_onset_fitted
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import find_scale, with_materials_at_prior
 from mphygs.model.belief import Belief

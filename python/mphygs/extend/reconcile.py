@@ -17,8 +17,9 @@ from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.extend.finer_grid import jacobian_source, with_tangents
 from mphygs.extend.onset_fit import with_onset_fitted
 from mphygs.extend.step import EXPLAINED, Step
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached, minimise, report_of_iterations
+from mphygs.fit.levenberg_marquardt import minimise, report_of_iterations
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError

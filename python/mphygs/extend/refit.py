@@ -14,15 +14,9 @@ from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.ranking import RankedEffect
 from mphygs.extend.known_slopes import approached_from
 from mphygs.extend.onset_fit import with_onset_fitted
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import (
-    TOO_LITTLE,
-    Solution,
-    approached,
-    minimise,
-    promise,
-    report_of_iterations,
-)
+from mphygs.fit.levenberg_marquardt import TOO_LITTLE, Solution, minimise, promise, report_of_iterations
 from mphygs.fit.place_fit import relocated
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief, Parameter
