@@ -25,7 +25,7 @@ from mphygs.diagnose.contact_search import (
 )
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import find_scale, with_materials_at_prior
+from mphygs.fit.stiffness_scale import find_scale, with_materials_at_prior
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings

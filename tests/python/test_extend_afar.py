@@ -22,7 +22,7 @@ from mphygs.compare.allowance import Allowance
 from mphygs.extend import discovery, model_selection, separating_motions, simplest_recordings, window_ranking
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.schedule import CONTRAST, about_its_scale
+from mphygs.fit.stiffness_scale import CONTRAST, about_its_scale
 from mphygs.model.belief import Belief
 from test_compare_roughness import compared
 

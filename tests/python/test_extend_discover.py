@@ -38,7 +38,8 @@ from mphygs.extend.step import Step
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import CONTRAST, TRACTABLE, about_its_scale
+from mphygs.fit.schedule import TRACTABLE
+from mphygs.fit.stiffness_scale import CONTRAST, about_its_scale
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 

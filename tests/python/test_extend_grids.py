@@ -28,7 +28,7 @@ from mphygs.extend.step import Step, staying
 from mphygs.extend.steps import restored, state_of, step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.schedule import deciding_spacing, default_spacing, screening_spacing
+from mphygs.fit.spacings import deciding_spacing, default_spacing, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings

@@ -44,7 +44,7 @@ from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
-from mphygs.fit.schedule import default_spacing, screening_spacing
+from mphygs.fit.spacings import default_spacing, screening_spacing
 from mphygs.fit.tables import parameters_of
 from mphygs.model.registry import effects
 from mphygs.simulate.settings import check_effects

@@ -43,7 +43,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import check_effects
 

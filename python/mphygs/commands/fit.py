@@ -31,8 +31,8 @@ from mphygs.fit.pictured_run import fit_pictured, pictured_belief, with_shares
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.profile import intervals
 from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
-from mphygs.fit.schedule import check_spacing, default_spacing
 from mphygs.fit.sensitivity import sensitivity_of
+from mphygs.fit.spacings import check_spacing, default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.settings import Settings, available_cores
 from mphygs.simulate.timeline import MOST_SUBSTEPS

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from mphygs.compare.noise import Observation
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import find_scale, stiffened, with_materials_at_prior
+from mphygs.fit.stiffness_scale import find_scale, stiffened, with_materials_at_prior
 from mphygs.model.belief import Belief
 from mphygs.model.descriptor import EffectSpec, ParameterSpec
 from mphygs.model.registry import effect

@@ -27,7 +27,7 @@ from mphygs.diagnose.force_regression import Explained, formula_of
 from mphygs.diagnose.missing_force import MissingForce, SequenceForce, missing_force
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import same_file
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import core_inputs

@@ -32,7 +32,8 @@ from mphygs.extend.track_readmission import with_tracks_readmitted
 from mphygs.extend.window_ranking import ranked_on_window
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.schedule import FINE, ScheduleStage, deciding_spacing, fit_belief, plan_of, screening_spacing
+from mphygs.fit.schedule import ScheduleStage, fit_belief, plan_of
+from mphygs.fit.spacings import FINE, deciding_spacing, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError

@@ -24,7 +24,7 @@ from mphygs.diagnose.force_readings import WORDS
 from mphygs.diagnose.missing_force_document import PLUGIN
 from mphygs.fit.belief_document import belief_from_document
 from mphygs.fit.run_checks import check_belief_document
-from mphygs.fit.schedule import check_spacing
+from mphygs.fit.spacings import check_spacing
 from mphygs.model.registry import effects
 
 _VERDICT = one_of(("adequate", "missing", "unknown", "measurement"))

@@ -13,7 +13,7 @@ from mphygs.fit.borrowed_jacobians import approached, fit_by_borrowed_jacobians,
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise, report_of_iterations
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 

@@ -35,13 +35,8 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise, report_of_iterations
 from mphygs.fit.place_fit import relocated
 from mphygs.fit.problem import Problem
-from mphygs.fit.schedule import (
-    deciding_spacing,
-    default_spacing,
-    screening_spacing,
-    simulable,
-    without_stiffest,
-)
+from mphygs.fit.spacings import deciding_spacing, default_spacing, screening_spacing
+from mphygs.fit.stiffness_scale import simulable, without_stiffest
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError

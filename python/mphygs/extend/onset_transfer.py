@@ -12,7 +12,7 @@ from mphygs.extend.onset_fit import fit_onset_then_all, with_onset_fitted
 from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
-from mphygs.fit.schedule import find_scale, with_materials_at_prior
+from mphygs.fit.stiffness_scale import find_scale, with_materials_at_prior
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError

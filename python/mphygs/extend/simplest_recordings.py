@@ -13,7 +13,7 @@ from dataclasses import replace
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import CONTRAST
+from mphygs.fit.stiffness_scale import CONTRAST
 from mphygs.model.belief import Belief
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.determined import SMALL, determinations, information_of, reference_std
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import simulable
+from mphygs.fit.stiffness_scale import simulable
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
 

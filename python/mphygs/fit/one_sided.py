@@ -26,7 +26,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.limits import FAR, Limits
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.fit.uncertainty import grid_directions, prediction_change
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
