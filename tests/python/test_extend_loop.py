@@ -11,7 +11,7 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, SPACING, recorded
 from mphygs.capture.holds import Load
-from mphygs.diagnose.contact_search import Plane
+from mphygs.diagnose.wall import Plane
 from mphygs.extend import discovery as discover_module
 from mphygs.extend.discovery import discover_effects, first_fit
 from mphygs.extend.first_window import tractable_window

@@ -14,10 +14,10 @@ from extend_example import SPACING, entry_of, recorded, refit_of
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.autoregression import Autoregression
-from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import RankedEffect
+from mphygs.diagnose.wall import Plane
 from mphygs.extend import refit
 from mphygs.extend.known_slopes import _evaluated, approached_from
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain

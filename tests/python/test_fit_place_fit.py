@@ -14,16 +14,8 @@ from mphygs.fit import place_fit
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise
-from mphygs.fit.place_fit import (
-    located,
-    movable,
-    moved,
-    place_columns,
-    place_of,
-    places_document,
-    relocated,
-    with_place_uncertainty,
-)
+from mphygs.fit.place_fit import movable, moved, place_columns, place_of, relocated
+from mphygs.fit.place_uncertainty import located, places_document, with_place_uncertainty
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings

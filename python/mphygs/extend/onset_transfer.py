@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.diagnose.contact_search import hold_friction, release_friction
+from mphygs.diagnose.wall import hold_friction, release_friction
 from mphygs.extend.finer_grid import jacobian_source
 from mphygs.extend.onset_fit import fit_onset_then_all, with_onset_fitted
 from mphygs.fit.borrowed_jacobians import approached

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mphygs.compare.assess import Assessment, Compared, whiten_all
-from mphygs.diagnose.contact_search import hold_friction, release_friction
 from mphygs.diagnose.held_out import GainInterval, gain_interval
 from mphygs.diagnose.ranking import RankedEffect
+from mphygs.diagnose.wall import hold_friction, release_friction
 from mphygs.extend.known_slopes import approached_from
 from mphygs.extend.onset_fit import with_onset_fitted
 from mphygs.fit.borrowed_jacobians import approached

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mphygs.compare.assess import grid_shift
+from mphygs.compare.grid_share import grid_shift
 from mphygs.compare.metrics import sensors_document
 from mphygs.extend.candidate_table import with_fitted_numbers
 from mphygs.extend.finer_grid import compared_on_both_grids, compared_on_grid, evaluated
@@ -22,7 +22,8 @@ from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.limits import FAR, narrowed_to_seen
 from mphygs.fit.of_run import compared_errors
 from mphygs.fit.one_sided import coarser_change, limits_of
-from mphygs.fit.place_fit import located, movable, with_place_uncertainty
+from mphygs.fit.place_fit import movable
+from mphygs.fit.place_uncertainty import located, with_place_uncertainty
 from mphygs.fit.problem import Problem
 from mphygs.fit.residual_correlation import widened_by_correlation
 from mphygs.fit.run import Run, StageRecord
