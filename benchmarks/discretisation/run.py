@@ -25,7 +25,9 @@ import tyro
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.json_values import plain
 from mphygs.commands.synth import main as synth
-from mphygs.extend.discovery import Discovery, discover_effects, first_fit
+from mphygs.extend.conclusion import Discovery
+from mphygs.extend.discovery import discover_effects
+from mphygs.extend.first_fit import first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.spacings import default_spacing

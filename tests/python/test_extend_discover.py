@@ -27,7 +27,7 @@ from mphygs.compare.noise import Observation
 from mphygs.compare.whitening import NoiseModel
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.ranking import RankedEffect, Ranking
-from mphygs.extend import discovery, first_window, grids, model_selection, refits
+from mphygs.extend import conclusion, discovery, first_window, model_selection, refits, required_grid
 from mphygs.extend.first_window import tractable_window
 from mphygs.extend.model_selection import selected_model
 from mphygs.extend.onset_transfer import growing_shares
@@ -51,8 +51,8 @@ UNSEEN = SimpleNamespace(capture=SimpleNamespace(sequences=()), observations={})
 @pytest.fixture(autouse=True)
 def grid_of_no_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there is no capture, all is decided on the grid that there is."""
-    deciding = grids.deciding_spacing
-    monkeypatch.setattr(grids, "deciding_spacing", lambda c: SPACING if c is None else deciding(c))
+    deciding = required_grid.deciding_spacing
+    monkeypatch.setattr(required_grid, "deciding_spacing", lambda c: SPACING if c is None else deciding(c))
 
 KEY = "part0.youngs_modulus"
 
@@ -560,8 +560,8 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     ) -> Step:
         assert problem is there
         went.append(("carried over", step.belief[KEY].value))
-        grids = {"spacing": best.spacing, "jacobian_spacing": best.jacobian_spacing}
-        return replace(step, assessment=excess_of(left), **grids)
+        spacings = {"spacing": best.spacing, "jacobian_spacing": best.jacobian_spacing}
+        return replace(step, assessment=excess_of(left), **spacings)
 
     def fitted_by_coarse_jacobians(
         _experiment: object, step: Step, spacing: float, jacobian_spacing: float, _report: object
@@ -1134,7 +1134,7 @@ def test_the_verdict(
 ) -> None:
     steps = [step_of(assessment_of(9.0), added=names) for names in added]
     steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=adequate))
-    found = discovery._conclude(steps, [], ["a warning"])
+    found = conclusion.conclude(steps, [], ["a warning"])
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.steps == tuple(steps) and found.warnings == ("a warning",)
 
@@ -1153,7 +1153,7 @@ def test_faults_that_the_tracks_show_are_concluded(
     steps = [step_of(assessment_of(9.0), added=names) for names in added]
     steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=ratio < 1.1))
     swaps, gaps = Finding("label_swaps", "2 and 3"), Finding("zero_gaps", "5")
-    found = discovery._conclude(steps, [], [], {"a": [swaps], "b": [swaps, gaps]})
+    found = conclusion.conclude(steps, [], [], {"a": [swaps], "b": [swaps, gaps]})
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.warnings == ("'a': label_swaps: 2 and 3", "'b': label_swaps: 2 and 3", "'b': zero_gaps: 5")
 
@@ -1170,6 +1170,6 @@ def test_a_jitter_of_all_markers_beyond_the_stated_noise_is_a_fault() -> None:
 
 def test_a_noise_that_nothing_reaches_is_said_to_be_too_large() -> None:
     for ratio, said in ((0.1, True), (0.7, False)):
-        found = discovery._conclude([step_of(assessment_of(ratio, adequate=True), added=())], [], [])
+        found = conclusion.conclude([step_of(assessment_of(ratio, adequate=True), added=())], [], [])
         assert found.verdict == "adequate"
         assert [("sigma may be 10 times too large" in line) for line in found.warnings] == [True] * said

@@ -29,7 +29,8 @@ from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import path_rows, path_text, table_text
-from mphygs.extend.discovery import Discovery, discover_effects
+from mphygs.extend.conclusion import Discovery
+from mphygs.extend.discovery import discover_effects
 from mphygs.extend.loop_record import (
     LoopRecord,
     read_record,

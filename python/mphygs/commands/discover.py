@@ -33,7 +33,8 @@ from mphygs.diagnose.missing_force_document import (
 )
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import path_rows, path_text, table_text
-from mphygs.extend.discovery import Discovery, discover_effects
+from mphygs.extend.conclusion import Discovery
+from mphygs.extend.discovery import discover_effects
 from mphygs.extend.first_window import passed_on_the_way
 from mphygs.extend.loop_record import LoopRecord, read_record, recorded_left_out, write_record
 from mphygs.extend.step import FAULT, Step
@@ -158,7 +159,7 @@ def discover_command(options: DiscoverOptions, console: Console) -> Answer:
     for k, step in enumerate(found.steps):
         if step.spacing != done.states[k]["spacing"] or k == len(found.steps) - 1:
             done.tell(step, experiment, k)
-    answer = _conclude(out, options, state, experiment, found, done, console)
+    answer = conclude(out, options, state, experiment, found, done, console)
     _keep(out, done, experiment, options, answer)
     return Answer(answer, _text(answer, state.capture))
 
@@ -213,7 +214,7 @@ def _keep(
     write_record(out / DOCUMENT, plain(document | dict(answer or {})))
 
 
-def _conclude(
+def conclude(
     out: Path,
     options: DiscoverOptions,
     state: Run,

@@ -11,8 +11,9 @@ from mphygs.extend.finer_grid import (
     fitted_by_coarse_jacobians,
     rival_on_coarse_grid,
 )
-from mphygs.extend.grids import complete, on_grid, on_required_grid
+from mphygs.extend.grids import complete, on_grid
 from mphygs.extend.refit import AT_FLOOR, Refit
+from mphygs.extend.required_grid import on_required_grid
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem

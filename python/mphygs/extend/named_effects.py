@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.diagnose.rank import rank
-from mphygs.extend.discovery import first_fit, mask_outliers
+from mphygs.extend.discovery import mask_outliers
 from mphygs.extend.finer_grid import jacobian_source
+from mphygs.extend.first_fit import first_fit
 from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
