@@ -20,16 +20,8 @@ from mphygs.extend.candidate_table import with_fitted_numbers
 from mphygs.extend.finer_grid import on_finer_grid
 from mphygs.extend.grids import with_budget
 from mphygs.extend.step import Step, from_grid_to_grid, known_budget
-from mphygs.extend.steps import (
-    bounded,
-    restored,
-    run_at,
-    state_of,
-    step_at,
-    step_document,
-    steps_text,
-    uncertainty,
-)
+from mphygs.extend.step_uncertainty import bounded, uncertainty
+from mphygs.extend.steps import restored, run_at, state_of, step_at, step_document, steps_text
 from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.boundary_share import boundary_columns
 from mphygs.fit.experiment import Experiment

@@ -9,7 +9,8 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.extend.steps import step_at, step_document, uncertainty
+from mphygs.extend.step_uncertainty import uncertainty
+from mphygs.extend.steps import step_at, step_document
 from mphygs.fit import place_fit
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment

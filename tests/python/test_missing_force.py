@@ -246,7 +246,7 @@ def test_a_motion_is_followed_from_where_it_is_not_far_off(
         return SimpleNamespace(chi_square=50 * misfit**2, residuals={"a": np.zeros(50)})
 
     monkeypatch.setattr(finding, "_narrowed", lambda _problem, _whole, share: (None, share))
-    monkeypatch.setattr(finding, "_state", state)
+    monkeypatch.setattr(finding, "state_at", state)
     assert finding._stages(None, {}, None, {}) == stages
 
 
@@ -277,11 +277,11 @@ def test_a_force_is_followed_as_long_as_a_step_takes_a_good_share(
         )
 
     said: list[str] = []
-    monkeypatch.setattr(finding, "_matrix", lambda *_: SimpleNamespace(whole=np.eye(3), exact={}))
-    monkeypatch.setattr(finding, "_gradient", lambda *_: np.zeros(3))
-    monkeypatch.setattr(finding, "_step", lambda *_: (1.0, np.zeros(3), 0.0))
-    monkeypatch.setattr(finding, "_moved", lambda *_: state(next(left)))
-    monkeypatch.setattr(finding, "_cost", lambda state, *_: state.chi_square)
+    monkeypatch.setattr(finding, "matrix_of", lambda *_: SimpleNamespace(whole=np.eye(3), exact={}))
+    monkeypatch.setattr(finding, "gradient_of", lambda *_: np.zeros(3))
+    monkeypatch.setattr(finding, "penalised_step", lambda *_: (1.0, np.zeros(3), 0.0))
+    monkeypatch.setattr(finding, "stepped", lambda *_: state(next(left)))
+    monkeypatch.setattr(finding, "penalised_cost", lambda state, *_: state.chi_square)
     finding._descend(
         None, {"a": SimpleNamespace(seen_force=None)}, state(chi_squares[0]), 3, 1.0, said.append
     )

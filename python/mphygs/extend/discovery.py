@@ -25,7 +25,7 @@ from mphygs.extend.required_grid import on_required_grid
 from mphygs.extend.seen_faults import seen_faults
 from mphygs.extend.simplest_recordings import compared_on_all, explains, sequences_without_loads
 from mphygs.extend.step import FAULT, Step, excess, known_budget, leaves_most
-from mphygs.extend.steps import bounded, undetermined
+from mphygs.extend.step_uncertainty import bounded, undetermined
 from mphygs.extend.track_readmission import with_tracks_readmitted
 from mphygs.extend.window_ranking import ranked_on_window
 from mphygs.fit.experiment import Experiment

@@ -13,7 +13,8 @@ from mphygs.capture.written import replace_file
 from mphygs.diagnose.ranking import RankedEffect, Ranking
 from mphygs.extend.document_checks import check_known, check_models, read_steps
 from mphygs.extend.step import Step
-from mphygs.extend.steps import bounded, left_out_of, restored, state_of, step_document
+from mphygs.extend.step_uncertainty import bounded
+from mphygs.extend.steps import left_out_of, restored, state_of, step_document
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
 from mphygs.fit.experiment import Experiment
 

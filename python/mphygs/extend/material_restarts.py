@@ -9,7 +9,7 @@ import numpy as np
 
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import RankedEffect
-from mphygs.extend.refit import start_refit
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.extend.window_continuation import LINEAR, Begun, with_places_fitted
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment

@@ -11,7 +11,8 @@ from mphygs.diagnose.rank import rank
 from mphygs.extend.discovery import mask_outliers
 from mphygs.extend.finer_grid import jacobian_source
 from mphygs.extend.first_fit import first_fit
-from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
+from mphygs.extend.refit import finish_refit, unseen_gain
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect

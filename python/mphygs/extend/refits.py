@@ -12,7 +12,8 @@ from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.diagnose.ranking import RankedEffect, Ranking
 from mphygs.extend.material_restarts import restarted_from_best_materials
 from mphygs.extend.model_selection import ALIKE, ALIKE_EXCESS
-from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
+from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.extend.step import Step
 from mphygs.extend.window_continuation import (
     BEHIND,
