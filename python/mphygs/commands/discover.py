@@ -21,7 +21,8 @@ from mphygs.commands.console import Console
 from mphygs.commands.diagnose import DOCUMENT as DIAGNOSIS
 from mphygs.commands.diagnose import diagnosis_document, drift_entries, known_effects, ranking_entries
 from mphygs.commands.extend import DOCUMENT
-from mphygs.commands.fit import RUNS, fitted
+from mphygs.commands.fit import fitted
+from mphygs.commands.fit_begun import RUNS
 from mphygs.commands.fit_options import FitOptions, check_options
 from mphygs.commands.image_stages import has_stages, run_stages
 from mphygs.commands.options import CommonOptions, OptionError

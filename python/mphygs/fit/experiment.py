@@ -25,17 +25,6 @@ REFINEMENT = 1.5
 OWN_FRAMES = 40
 
 
-def _drop_starts(belief: Belief, keep: Sequence[str]) -> Belief:
-    """Only the fitted sequences' release and start are free parameters."""
-    return replace(
-        belief,
-        parameters=tuple(
-            p if of_sequence(p) is None else replace(p, free=p.free and of_sequence(p) in keep)
-            for p in belief.parameters
-        ),
-    )
-
-
 @dataclass(eq=False)
 class Experiment:
     """fitted: sequence -> frames to fit; compared ranges come from the capture; whole: sequences that
@@ -87,8 +76,13 @@ class Experiment:
         return cls(capture, settings, fitted)
 
     def starting(self, belief: Belief) -> Belief:
-        """A belief whose free parameters are those that the fitted sequences can tell."""
-        return _drop_starts(belief, list(self.fitted))
+        """A belief whose free parameters are those that the fitted sequences can tell: of releases and starts
+        their own."""
+        parameters = tuple(
+            p if of_sequence(p) is None else replace(p, free=p.free and of_sequence(p) in self.fitted)
+            for p in belief.parameters
+        )
+        return replace(belief, parameters=parameters)
 
     def problem(self, spacing: float) -> Problem:
         """The fit at one spacing."""
