@@ -106,10 +106,10 @@ def put(path: Path, content: dict, where: Path) -> Path:
 
 
 def test_steps_that_older_versions_named_otherwise_are_refused(folders: Folders, tmp_path: Path) -> None:
-    old = document(folders.steps)
+    old = document(folders.so_far)
     for state in old["states"]:
         state["lender"] = state.pop("jacobian_spacing")
-    path = put(folders.steps, old, tmp_path)
+    path = put(folders.so_far, old, tmp_path)
     with pytest.raises(ValueError, match=r'states\[0\].*"jacobian_spacing" is missing'):
         read_steps(path)
 

@@ -27,7 +27,15 @@ from mphygs.compare.noise import Observation
 from mphygs.compare.whitening import NoiseModel
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.ranking import RankedEffect, Ranking
-from mphygs.extend import conclusion, discovery, first_window, model_selection, refits, required_grid
+from mphygs.extend import (
+    conclusion,
+    discovery,
+    first_window,
+    grids,
+    model_selection,
+    refits,
+    required_grid,
+)
 from mphygs.extend.first_window import tractable_window
 from mphygs.extend.model_selection import selected_model
 from mphygs.extend.onset_transfer import growing_shares
@@ -52,7 +60,8 @@ UNSEEN = SimpleNamespace(capture=SimpleNamespace(sequences=()), observations={})
 def grid_of_no_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there is no capture, all is decided on the grid that there is."""
     deciding = required_grid.deciding_spacing
-    monkeypatch.setattr(required_grid, "deciding_spacing", lambda c: SPACING if c is None else deciding(c))
+    for module in (grids, required_grid):
+        monkeypatch.setattr(module, "deciding_spacing", lambda c: SPACING if c is None else deciding(c))
 
 KEY = "part0.youngs_modulus"
 

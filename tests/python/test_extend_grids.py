@@ -658,9 +658,9 @@ def test_causes_of_the_others_misfit_are_looked_for_from_what_explains_the_simpl
 
 
 def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None:
-    assert grids.excess(assessment_of(2.0, 0.5)) == pytest.approx(1.5)
-    assert grids.excess(excess_of(0.3)) == pytest.approx(0.3)
-    assert np.isclose(grids.excess(assessment_of(1.0)), 0.0)
+    assert required_grid.excess(assessment_of(2.0, 0.5)) == pytest.approx(1.5)
+    assert required_grid.excess(excess_of(0.3)) == pytest.approx(0.3)
+    assert np.isclose(required_grid.excess(assessment_of(1.0)), 0.0)
 
 
 # ---- the last digits --------------------------------------------------------------------------
