@@ -84,12 +84,12 @@ def fitted(
     console.begin()
     baseline = baseline_of(state)
     if baseline is not None:
-        more: dict[str, object] = {}
+        extra: dict[str, object] = {}
         if baseline == "prior":
             from mphygs.synth.flower.looks import flower_looks
 
-            more["examples"] = partial(flower_looks, state.seed)
-        state = fit_baseline(state, experiment, console.progress, **more)
+            extra["examples"] = partial(flower_looks, state.seed)
+        state = fit_baseline(state, experiment, console.progress, **extra)
         experiment = replace(experiment, make=maker_of(state), problems={})
     elif state.stages is not None:
         state = fit_pictured(state, experiment, console)
