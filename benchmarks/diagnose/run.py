@@ -22,10 +22,10 @@ from mphygs.capture.format import load_capture
 from mphygs.commands.synth import main as synth
 from mphygs.diagnose.effect_variants import smooth_variants
 from mphygs.diagnose.periodic_variants import swing_variants
-from mphygs.extend.discovery import first_fit
+from mphygs.extend.first_fit import first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads
-from mphygs.fit.schedule import default_spacing, screening_spacing
+from mphygs.fit.spacings import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.registry import effect
 from mphygs.simulate.settings import Settings

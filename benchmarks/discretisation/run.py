@@ -25,10 +25,12 @@ import tyro
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.json_values import plain
 from mphygs.commands.synth import main as synth
-from mphygs.extend.discovery import Discovery, discover_effects, first_fit
+from mphygs.extend.conclusion import Discovery
+from mphygs.extend.discovery import discover_effects
+from mphygs.extend.first_fit import first_fit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
-from mphygs.fit.schedule import default_spacing
+from mphygs.fit.spacings import default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError

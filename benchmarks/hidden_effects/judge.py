@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from cases import Case
 
-from mphygs.extend.discovery import Discovery
-from mphygs.extend.steps import uncertainty
+from mphygs.extend.conclusion import Discovery
+from mphygs.extend.step_uncertainty import uncertainty
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.place_fit import place_of
 from mphygs.model.registry import effects

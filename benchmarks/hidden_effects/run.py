@@ -26,7 +26,7 @@ from mphygs.capture.format import load_capture
 from mphygs.capture.json_values import plain
 from mphygs.extend.discovery import discover_effects
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import default_spacing, screening_spacing
+from mphygs.fit.spacings import default_spacing, screening_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.prediction import Settings
 from mphygs.synth.make import make_capture

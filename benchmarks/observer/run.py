@@ -22,7 +22,7 @@ from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.markers import Markers
 from mphygs.commands.synth import main as synth
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import default_spacing
+from mphygs.fit.spacings import default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.settings import Settings
 

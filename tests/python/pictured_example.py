@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from mphygs.capture.format import load_capture
 from mphygs.capture.meshes import write_mesh
 from mphygs.capture.stages import STAGES
-from mphygs.capture.views import rest_views_of
+from mphygs.capture.view_folders import rest_views_of
 from mphygs.render.raw_gaussians import RawGaussians
 from mphygs.render.splatting import splat
 from mphygs.scene.gaussians import Gaussians, colour_of_harmonics, harmonics_of_colour

@@ -105,6 +105,15 @@ def put(path: Path, content: dict, where: Path) -> Path:
     return where / path.name
 
 
+def test_steps_that_older_versions_named_otherwise_are_refused(folders: Folders, tmp_path: Path) -> None:
+    old = document(folders.so_far)
+    for state in old["states"]:
+        state["lender"] = state.pop("jacobian_spacing")
+    path = put(folders.so_far, old, tmp_path)
+    with pytest.raises(ValueError, match=r'states\[0\].*"jacobian_spacing" is missing'):
+        read_steps(path)
+
+
 @given(data=st.data())
 @PAGES
 def test_any_diagnosis_is_shown_or_refused_in_one_line(

@@ -16,7 +16,7 @@ from mphygs.capture.errors import CaptureError
 from mphygs.capture.images import write_image
 from mphygs.capture.rotation import quaternion_from_matrix
 from mphygs.capture.transforms import read_transforms, write_transforms
-from mphygs.capture.views import load_rest_views
+from mphygs.capture.view_folders import load_rest_views
 
 WIDTH, HEIGHT, FOCAL, CENTRE = 240, 200, np.array([92.0, 90.0]), np.array([118.0, 103.0])
 # k1 k2 k3 k4 as action cameras have them

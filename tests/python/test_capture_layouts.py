@@ -16,7 +16,7 @@ from mphygs.capture.files import colmap_folder
 from mphygs.capture.images import Video, write_image
 from mphygs.capture.masks import check_masks, mask_of_picture
 from mphygs.capture.transforms import read_transforms
-from mphygs.capture.views import load_rest_views, load_sequence_views
+from mphygs.capture.view_folders import load_rest_views, load_sequence_views
 from views_example import COUNT, SIZE, Rest, camera, picture
 
 NERFSTUDIO = {

@@ -15,7 +15,7 @@ from mphygs.capture.digest import digest_of
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture, save_capture
 from mphygs.capture.layouts import read_points
-from mphygs.capture.views import rest_views_of, sequence_views_of
+from mphygs.capture.view_folders import rest_views_of, sequence_views_of
 from mphygs.commands import doctor, init, reconstruct
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.ply import read_gaussians, write_gaussians

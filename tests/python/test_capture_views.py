@@ -17,14 +17,8 @@ from mphygs.capture.errors import CaptureError
 from mphygs.capture.format import load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.transforms import write_transforms
-from mphygs.capture.views import (
-    RestViews,
-    SequenceViews,
-    load_rest_views,
-    load_sequence_views,
-    rest_views_of,
-    sequence_views_of,
-)
+from mphygs.capture.view_folders import load_rest_views, load_sequence_views, rest_views_of, sequence_views_of
+from mphygs.capture.views import RestViews, SequenceViews
 
 FRAMES = 3
 

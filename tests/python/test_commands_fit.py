@@ -15,7 +15,7 @@ from safetensors.numpy import load_file
 from command_example import ETA, SIGMA, SPACING, TRUTH, answer, call, make_capture
 from mphygs.capture.format import Known
 from mphygs.commands import fit as command
-from mphygs.commands import predict
+from mphygs.commands import fit_begun, predict
 from mphygs.fit import checkpointed
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.of_run import experiment_of
@@ -86,8 +86,8 @@ def test_no_intervals_of_pictures(
     document = json.loads((folder / "run.json").read_text()) | {"stages": str(tmp_path)}
     (folder / "run.json").write_text(json.dumps(document))
     # Before any stage is run, of a new fit as of one that is resumed.
-    monkeypatch.setattr(command, "has_stages", lambda _: True)
-    monkeypatch.setattr(command, "run_stages", lambda *_: pytest.fail("a stage was run"))
+    monkeypatch.setattr(fit_begun, "has_stages", lambda _: True)
+    monkeypatch.setattr(fit_begun, "run_stages", lambda *_: pytest.fail("a stage was run"))
     for arguments in ((capture, "--out", tmp_path / "new"), ("--out", folder, "--resume")):
         code, _, said = call(command.main, *arguments, "--intervals")
         assert code == 2

@@ -15,7 +15,7 @@ from mphygs.capture.errors import CaptureError
 from mphygs.capture.features import ColourFeatures
 from mphygs.capture.format import load_capture
 from mphygs.capture.mask_groups import Superpixels
-from mphygs.capture.views import rest_views_of
+from mphygs.capture.view_folders import rest_views_of
 from mphygs.commands import compare, fit, predict, report
 from mphygs.fit import image_fit, paper
 from mphygs.fit.experiment import Experiment

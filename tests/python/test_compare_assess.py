@@ -9,7 +9,8 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, grid_shift, in_words, stays
+from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, in_words, stays
+from mphygs.compare.grid_share import grid_shift
 from mphygs.compare.noise import NoiseModel, Observation
 from mphygs.fit.experiment import Experiment
 from mphygs.simulate.prediction import Settings

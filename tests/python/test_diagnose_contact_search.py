@@ -13,19 +13,11 @@ from bar_capture import DOWN, bar_belief, bar_capture
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import contact_search
-from mphygs.diagnose.contact_search import (
-    Plane,
-    hold_friction,
-    proposals,
-    release_friction,
-    search,
-    search_softer,
-    sphere,
-    walls,
-)
+from mphygs.diagnose.contact_search import proposals, search, search_softer, sphere, walls
+from mphygs.diagnose.wall import Plane, hold_friction, release_friction
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import find_scale, with_materials_at_prior
+from mphygs.fit.stiffness_scale import find_scale, with_materials_at_prior
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Predictor, Settings

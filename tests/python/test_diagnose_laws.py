@@ -14,7 +14,8 @@ from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import candidate_rows
 from mphygs.extend.model_selection import step_of as step_from
-from mphygs.extend.refit import finish_refit, start_refit
+from mphygs.extend.refit import finish_refit
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.model.belief import Belief

@@ -15,12 +15,12 @@ from mphygs.capture.holds import Load
 from mphygs.compare.noise import Observation
 from mphygs.diagnose import finite_trials, trial_ranking
 from mphygs.diagnose import rank as ranking
-from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.diagnosis_document import ranking_document
 from mphygs.diagnose.effect_variants import SINCE_THE_START
 from mphygs.diagnose.periodic_variants import periodic_variants
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import RankedEffect, Ranking
+from mphygs.diagnose.wall import Plane
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.placement import masses_of_loads

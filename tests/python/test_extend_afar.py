@@ -19,10 +19,17 @@ from extend_example import (
     step_of,
 )
 from mphygs.compare.allowance import Allowance
-from mphygs.extend import discovery, model_selection, separating_motions, simplest_recordings, window_ranking
+from mphygs.extend import (
+    conclusion,
+    discovery,
+    model_selection,
+    separating_motions,
+    simplest_recordings,
+    window_ranking,
+)
 from mphygs.extend.step import Step
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.schedule import CONTRAST, about_its_scale
+from mphygs.fit.stiffness_scale import CONTRAST, about_its_scale
 from mphygs.model.belief import Belief
 from test_compare_roughness import compared
 
@@ -72,9 +79,9 @@ def test_the_loop_ranks_and_refits_from_where_it_looks(far: bool, monkeypatch: p
 
 def test_a_doubted_sigma_is_told_at_the_end_only() -> None:
     last = replace(step_of(assessment_of(3.0), added=()), compared=compared(3e-4, 1e-4))
-    told = discovery._conclude([last], [], ["earlier"])
+    told = conclusion.conclude([last], [], ["earlier"])
     assert told.warnings[0] == "earlier" and "sigma (0.1 mm" in told.warnings[1]
-    assert discovery._conclude([last], [], ["earlier"], final=False).warnings == ("earlier",)
+    assert conclusion.conclude([last], [], ["earlier"], final=False).warnings == ("earlier",)
 
 
 def test_numbers_that_were_found_about_another_scale_are_carried_with_its_bounds() -> None:

@@ -27,7 +27,15 @@ from mphygs.compare.noise import Observation
 from mphygs.compare.whitening import NoiseModel
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.ranking import RankedEffect, Ranking
-from mphygs.extend import discovery, first_window, grids, model_selection, refits
+from mphygs.extend import (
+    conclusion,
+    discovery,
+    first_window,
+    grids,
+    model_selection,
+    refits,
+    required_grid,
+)
 from mphygs.extend.first_window import tractable_window
 from mphygs.extend.model_selection import selected_model
 from mphygs.extend.onset_transfer import growing_shares
@@ -38,7 +46,8 @@ from mphygs.extend.step import Step
 from mphygs.fit.belief_document import belief_from_document, document_of_belief
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import CONTRAST, TRACTABLE, about_its_scale
+from mphygs.fit.schedule import TRACTABLE
+from mphygs.fit.stiffness_scale import CONTRAST, about_its_scale
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -50,8 +59,9 @@ UNSEEN = SimpleNamespace(capture=SimpleNamespace(sequences=()), observations={})
 @pytest.fixture(autouse=True)
 def grid_of_no_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there is no capture, all is decided on the grid that there is."""
-    deciding = grids.deciding_spacing
-    monkeypatch.setattr(grids, "deciding_spacing", lambda c: SPACING if c is None else deciding(c))
+    deciding = required_grid.deciding_spacing
+    for module in (grids, required_grid):
+        monkeypatch.setattr(module, "deciding_spacing", lambda c: SPACING if c is None else deciding(c))
 
 KEY = "part0.youngs_modulus"
 
@@ -538,7 +548,7 @@ def test_numbers_that_explain_far_more_are_fitted(monkeypatch: pytest.MonkeyPatc
 def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     monkeypatch: pytest.MonkeyPatch, left: float
 ) -> None:
-    """left: the rival's excess on the lender's grid, less what the grid changes."""
+    """left: the rival's excess on the grid of the Jacobians, less what the grid changes."""
     went: list[tuple[str, float]] = []
     # So much do materials cost that are not the best ones.
     costs = {5e4: 9.0, 6e4: 1.0}
@@ -551,7 +561,7 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     there = Problem()
 
     def corrected_coarse_problem(_experiment: object, best: Step) -> Problem:
-        assert best.lender == 0.5 * SPACING
+        assert best.jacobian_spacing == 0.5 * SPACING
         return there
 
     def rival_on_coarse_grid(
@@ -559,17 +569,18 @@ def test_rivals_follow_to_a_grid_that_lent_tangents_reached(
     ) -> Step:
         assert problem is there
         went.append(("carried over", step.belief[KEY].value))
-        return replace(step, spacing=best.spacing, lender=best.lender, assessment=excess_of(left))
+        spacings = {"spacing": best.spacing, "jacobian_spacing": best.jacobian_spacing}
+        return replace(step, assessment=excess_of(left), **spacings)
 
     def fitted_by_coarse_jacobians(
-        _experiment: object, step: Step, spacing: float, lender: float, _report: object
+        _experiment: object, step: Step, spacing: float, jacobian_spacing: float, _report: object
     ) -> Step:
-        assert (spacing, lender) == (0.4 * SPACING, 0.5 * SPACING)
+        assert (spacing, jacobian_spacing) == (0.4 * SPACING, 0.5 * SPACING)
         went.append(("fitted", step.belief[KEY].value))
         return replace(step, assessment=excess_of(0.045))
 
     def on_required_grid(_experiment: object, steps: list[Step], *_: object, **__: object) -> Step:
-        return replace(steps[-1], spacing=0.4 * SPACING, lender=0.5 * SPACING)
+        return replace(steps[-1], spacing=0.4 * SPACING, jacobian_spacing=0.5 * SPACING)
 
     def at(step: Step, young: float) -> Step:
         return replace(step, belief=step.belief.with_parameter(KEY, value=young))
@@ -1132,7 +1143,7 @@ def test_the_verdict(
 ) -> None:
     steps = [step_of(assessment_of(9.0), added=names) for names in added]
     steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=adequate))
-    found = discovery._conclude(steps, [], ["a warning"])
+    found = conclusion.conclude(steps, [], ["a warning"])
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.steps == tuple(steps) and found.warnings == ("a warning",)
 
@@ -1151,7 +1162,7 @@ def test_faults_that_the_tracks_show_are_concluded(
     steps = [step_of(assessment_of(9.0), added=names) for names in added]
     steps[-1] = replace(steps[-1], assessment=assessment_of(ratio, adequate=ratio < 1.1))
     swaps, gaps = Finding("label_swaps", "2 and 3"), Finding("zero_gaps", "5")
-    found = discovery._conclude(steps, [], [], {"a": [swaps], "b": [swaps, gaps]})
+    found = conclusion.conclude(steps, [], [], {"a": [swaps], "b": [swaps, gaps]})
     assert (found.verdict, found.effects) == (verdict, effects)
     assert found.warnings == ("'a': label_swaps: 2 and 3", "'b': label_swaps: 2 and 3", "'b': zero_gaps: 5")
 
@@ -1168,6 +1179,6 @@ def test_a_jitter_of_all_markers_beyond_the_stated_noise_is_a_fault() -> None:
 
 def test_a_noise_that_nothing_reaches_is_said_to_be_too_large() -> None:
     for ratio, said in ((0.1, True), (0.7, False)):
-        found = discovery._conclude([step_of(assessment_of(ratio, adequate=True), added=())], [], [])
+        found = conclusion.conclude([step_of(assessment_of(ratio, adequate=True), added=())], [], [])
         assert found.verdict == "adequate"
         assert [("sigma may be 10 times too large" in line) for line in found.warnings] == [True] * said

@@ -11,7 +11,7 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, excess_of, recorded
 from mphygs.extend import effect_exchange
-from mphygs.extend.discovery import _conclude
+from mphygs.extend.conclusion import conclude
 from mphygs.extend.effect_exchange import with_effects_exchanged
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
@@ -62,7 +62,7 @@ def test_the_right_effect_takes_the_place_of_one_found_before_it_could_be_told()
     assert found.ties == ("wind",), "it blows as the bar moves, and is as good; the viscosity is not"
     assert found.belief["mass_damping.alpha"].value == pytest.approx(ALPHA, rel=0.05)
     assert found.assessment.worst < steps[-1].assessment.worst - 0.05
-    assert _conclude([*steps, found], [], []).effects == ("gravity", "mass_damping")
+    assert conclude([*steps, found], [], []).effects == ("gravity", "mass_damping")
     # Once more, from where a loop that was stopped goes on: at the noise nothing is asked.
     assert exchange_of([*steps, found], []) is None
 
@@ -105,8 +105,8 @@ def test_what_was_taken_out_may_come_back() -> None:
     steps = steps_with("viscosity", {"eta": 5.0})
     gone = replace(steps[-1], added=("wind",), dropped=("viscosity",))
     back = replace(steps[-1], added=("viscosity",), dropped=("gravity",))
-    assert _conclude([*steps, gone], [], []).effects == ("gravity", "wind")
-    assert _conclude([*steps, gone, back], [], []).effects == ("wind", "viscosity")
+    assert conclude([*steps, gone], [], []).effects == ("gravity", "wind")
+    assert conclude([*steps, gone, back], [], []).effects == ("wind", "viscosity")
 
 
 @pytest.mark.parametrize(("excess", "taken"), [(0.05, True), (0.3, False)])

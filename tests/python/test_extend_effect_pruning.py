@@ -10,7 +10,7 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, excess_of, recorded
 from mphygs.extend import effect_pruning
-from mphygs.extend.discovery import _conclude
+from mphygs.extend.conclusion import conclude
 from mphygs.extend.effect_pruning import with_effects_pruned
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at, step_document
@@ -48,7 +48,7 @@ def test_what_is_superfluous_goes() -> None:
     found = with_effects_pruned(experiment, last, ["gravity"], said.append)
     assert found.belief.effects == ("viscosity",) and found.added == ("viscosity",)
     assert said[0].startswith("without gravity: ")
-    concluded = _conclude([step_at(experiment, scene(0.0)[1], SPACING), before, found], [], [])
+    concluded = conclude([step_at(experiment, scene(0.0)[1], SPACING), before, found], [], [])
     assert (concluded.verdict, concluded.effects) == ("missing", ("viscosity",))
     assert step_document(found, experiment, ("gravity", "marker_outliers"))["effects"] == [
         "marker_outliers",
@@ -67,11 +67,11 @@ def test_what_is_needed_stays() -> None:
 
 
 def test_a_coarse_grid_leads_as_far_as_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lender(experiment: Experiment, spacing: float) -> Problem:
+    def jacobian_source(experiment: Experiment, spacing: float) -> Problem:
         assert spacing == SPACING
         return experiment.problem(1.5 * SPACING)
 
-    monkeypatch.setattr(effect_pruning, "jacobian_source", lender)
+    monkeypatch.setattr(effect_pruning, "jacobian_source", jacobian_source)
     experiment, _, last = both(0.0)
     assert with_effects_pruned(experiment, last, ["gravity"]).belief.effects == ("viscosity",)
 

@@ -20,8 +20,8 @@ from mphygs.extend.finer_grid import (
 from mphygs.extend.grids import complete, converged_fit
 from mphygs.extend.step import Step
 from mphygs.extend.steps import step_at
+from mphygs.fit.borrowed_jacobians import fit_by_borrowed_jacobians
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import fit_by_borrowed_jacobians
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Prediction, Predictor, Settings
 
@@ -43,7 +43,7 @@ def test_the_finer_grid_is_reached_by_the_tangents_of_the_coarser_one() -> None:
     experiment, before = near()
     said: list[str] = []
     after = on_finer_grid(experiment, before, said.append)
-    assert (after.spacing, after.lender, after.added) == (FINE, COARSE, ("viscosity",))
+    assert (after.spacing, after.jacobian_spacing, after.added) == (FINE, COARSE, ("viscosity",))
     assert after.belief[FREE[0]].value == pytest.approx(6e4, rel=0.01)
     assert after.assessment.worst < 1.1 < before.assessment.worst
     assert after.solution.belief is after.belief
@@ -94,7 +94,7 @@ def test_what_a_rival_owes_to_the_grid_is_taken_from_the_best_step(monkeypatch: 
     monkeypatch.setattr(Predictor, "predict", counted)
     carried = rival_on_coarse_grid(experiment, corrected_coarse_problem(experiment, best), rival, best)
     assert spacings and set(spacings) == {COARSE}
-    assert (carried.spacing, carried.lender, carried.added) == (FINE, COARSE, ("mass_damping",))
+    assert (carried.spacing, carried.jacobian_spacing, carried.added) == (FINE, COARSE, ("mass_damping",))
     assert carried.belief[FREE[0]].value == pytest.approx(fitted.belief[FREE[0]].value, rel=2e-3)
     assert abs(fitted.belief[FREE[0]].value / before.belief[FREE[0]].value - 1.0) > 0.05
     assert carried.assessment.worst == pytest.approx(fitted.assessment.worst, abs=0.02)

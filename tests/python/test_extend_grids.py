@@ -22,13 +22,13 @@ from extend_example import (
 from mphygs.compare.assess import LARGEST_GRID_ERROR
 from mphygs.diagnose import grid_error
 from mphygs.extend import coarse_grid_search as probing
-from mphygs.extend import finer_grid, grids
+from mphygs.extend import finer_grid, grids, required_grid
 from mphygs.extend import onset_transfer as meeting
 from mphygs.extend.step import Step, staying
 from mphygs.extend.steps import restored, state_of, step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.schedule import deciding_spacing, default_spacing, screening_spacing
+from mphygs.fit.spacings import deciding_spacing, default_spacing, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
@@ -88,7 +88,7 @@ def test_the_default_grid_is_asked_where_the_misfit_may_be_the_grids_own(
 ) -> None:
     monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: 0.0)
     first, last = (step_of(assessment_of(r), spacing=factor * deciding()) for r in ratios)
-    found = grids.next_spacing(scene()[0], [first, replace(last, added=added)])
+    found = required_grid.next_spacing(scene()[0], [first, replace(last, added=added)])
     assert found == (deciding() if asked else None)
 
 
@@ -109,7 +109,7 @@ def test_the_default_grid_is_asked_where_the_coarse_one_may_have_all_that_is_lef
     monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: own)
     first, last = (step_of(assessment_of(r), spacing=trying()) for r in (before, 9.0))
     last = replace(last, added=added, solution=solution_of(plain_belief(), evaluation_of(8100.0)))
-    assert grids.next_spacing(scene()[0], [first, last]) == (deciding() if asked else None)
+    assert required_grid.next_spacing(scene()[0], [first, last]) == (deciding() if asked else None)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_first_model_that_the_coarse_grid_may_have_bent_is_asked_again(
     """Gross in unseen frames, not in those fitted."""
     monkeypatch.setattr(grid_error, "unabsorbed", lambda *_: own)
     step = step_of(assessment_of(misfit, 5.0), spacing=trying(), chi_square=100.0 * misfit**2)
-    found = grids.next_spacing(scene()[0], [step, replace(step, added=added)] if added else [step])
+    found = required_grid.next_spacing(scene()[0], [step, replace(step, added=added)] if added else [step])
     assert found == (deciding() if asked else None)
 
 
@@ -153,15 +153,15 @@ def test_a_second_effect_that_leaves_most_is_asked_again_where_the_grid_may_have
         step_of(assessment_of(2.8), added=("air_drag",), spacing=deciding()),
         step_of(assessment_of(left), added=(added,), spacing=trying(), chi_square=100.0 * left**2),
     ]
-    assert grids.next_spacing(scene()[0], steps) == (deciding() if asked else None)
+    assert required_grid.next_spacing(scene()[0], steps) == (deciding() if asked else None)
     # What the effect before left had been told to be physics.
     budget = {"discretisation": 1e-4, "physics": 3.3e-4}
-    monkeypatch.setattr(grids, "known_budget", lambda step: bool(step.assessment.budget))
+    monkeypatch.setattr(required_grid, "known_budget", lambda step: bool(step.assessment.budget))
     steps[1] = replace(steps[1], assessment=replace(steps[1].assessment, budget=budget))
     if own > 1.0:
-        assert asked and grids.next_spacing(scene()[0], steps) is None
+        assert asked and required_grid.next_spacing(scene()[0], steps) is None
     else:
-        assert grids.next_spacing(scene()[0], steps) == (deciding() if asked else None)
+        assert required_grid.next_spacing(scene()[0], steps) == (deciding() if asked else None)
 
 
 def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,17 +173,17 @@ def test_what_sets_in_is_judged_by_the_fitted_frames(monkeypatch: pytest.MonkeyP
 
     first, last = seen_and_not(9.0, 6.0), seen_and_not(1.5, 5.5)
     for effect, asked in (("contact", True), ("viscosity", False)):
-        found = grids.next_spacing(scene()[0], [first, replace(last, added=(effect,))])
+        found = required_grid.next_spacing(scene()[0], [first, replace(last, added=(effect,))])
         assert found == (deciding() if asked else None)
     far = replace(seen_and_not(4.0, 5.5), added=("contact",))
-    assert grids.next_spacing(scene()[0], [first, far]) is None
+    assert required_grid.next_spacing(scene()[0], [first, far]) is None
 
 
 def test_the_first_model_is_asked_again_as_well() -> None:
     only = step_of(assessment_of(2.0), spacing=trying())
-    assert grids.next_spacing(scene()[0], [only]) == deciding()
+    assert required_grid.next_spacing(scene()[0], [only]) == deciding()
     gross = step_of(assessment_of(8.0), spacing=trying(), chi_square=6400.0)
-    assert grids.next_spacing(scene()[0], [gross]) is None
+    assert required_grid.next_spacing(scene()[0], [gross]) is None
 
 
 # ---- another grid -----------------------------------------------------------------------------
@@ -349,11 +349,11 @@ def test_no_tangents_are_asked_of_what_they_cannot_excuse_on_a_grid_that_is_left
 ) -> None:
     asked: list[float] = []
     done = step_of(assessment_of(1.0, adequate=True), added=("wind",), spacing=deciding())
-    monkeypatch.setattr(grids, "complete", lambda _e, step, **_: asked.append(step.spacing) or step)
-    monkeypatch.setattr(grids, "on_grid", lambda *_: done)
+    monkeypatch.setattr(required_grid, "complete", lambda _e, step, **_: asked.append(step.spacing) or step)
+    monkeypatch.setattr(required_grid, "on_grid", lambda *_: done)
     first = step_of(assessment_of(20.0), spacing=trying())
     step = step_of(assessment_of(worst), added=("wind",), spacing=trying())
-    assert grids.on_required_grid(scene()[0], [first, step], None, screening=True) is done
+    assert required_grid.on_required_grid(scene()[0], [first, step], None, screening=True) is done
     assert asked == ([trying()] if tangents else [])
 
 
@@ -389,7 +389,9 @@ def test_a_rival_goes_without_tangents_until_it_is_kept() -> None:
     assert kept.assessment.ratio == rival.assessment.ratio
     # what one stiffness absorbs is one degree of freedom
     assert kept.assessment.floor.degrees == rival.assessment.floor.degrees - len(FREE)
-    assert grids.on_required_grid(experiment, [before, rival], None, screening=False).assessment.adequate
+    assert required_grid.on_required_grid(
+        experiment, [before, rival], None, screening=False
+    ).assessment.adequate
 
 
 @pytest.mark.parametrize("worst", [1.05, 1.2, 1.7])
@@ -439,7 +441,9 @@ def test_no_step_where_another_grid_cannot_carry_the_model(monkeypatch: pytest.M
     monkeypatch.setattr(grids, "minimise", unstable)
     assert grids.on_grid(experiment, before, FINE, said.append) is None
     assert said[-1] == "grid of 7.5 mm: unstable at frame 3"
-    refined = grids.on_required_grid(experiment, [replace(before, spacing=trying())], None, screening=True)
+    refined = required_grid.on_required_grid(
+        experiment, [replace(before, spacing=trying())], None, screening=True
+    )
     assert refined.spacing == trying()
 
 
@@ -480,19 +484,20 @@ def told(
         return after
 
     def with_budget(
-        _experiment: object, one: Step, _report: object = None, *, beside: float | None = None
+        _experiment: object, one: Step, _report: object = None, *, refinement_spacing: float | None = None
     ) -> Step:
-        assert beside in (None, trying())
-        done.append("budget" if beside is None else "rough")
-        if beside is None or shares is None:
+        assert refinement_spacing in (None, trying())
+        done.append("budget" if refinement_spacing is None else "rough")
+        if refinement_spacing is None or shares is None:
             return one
         budget = dict(zip(("discretisation", "physics"), shares, strict=True))
         return replace(one, assessment=replace(one.assessment, budget=budget))
 
-    monkeypatch.setattr(grids, "known_budget", lambda one: bool(one.assessment.budget))
-    monkeypatch.setattr(grids, "on_grid", on_grid)
-    monkeypatch.setattr(grids, "with_budget", with_budget)
-    found = grids.on_required_grid(scene()[0], [step], None, screening=screening, tied=tied)
+    for module in (grids, required_grid):
+        monkeypatch.setattr(module, "known_budget", lambda one: bool(one.assessment.budget))
+    monkeypatch.setattr(required_grid, "on_grid", on_grid)
+    monkeypatch.setattr(required_grid, "with_budget", with_budget)
+    found = required_grid.on_required_grid(scene()[0], [step], None, screening=screening, tied=tied)
     expected = after if ("grid", deciding()) in done and after is not None else step
     assert found.belief is expected.belief and found.spacing == expected.spacing
     return done
@@ -506,12 +511,12 @@ def test_what_the_finer_grid_leaves_is_known_of_the_step_that_stays(
     fine = steps_told()[1]
     near = step_at(experiment, truth.with_parameter(FREE[0], value=6.2e4), fine, added=("viscosity",))
     after = replace(near, compared=staying(near.compared)) if left else near
-    monkeypatch.setattr(grids, "excess", lambda assessment: float(assessment.worst >= 9.0))
-    monkeypatch.setattr(grids, "on_finer_grid", lambda *_: after)
-    monkeypatch.setattr(grids, "with_budget", lambda _e, step, *_, **__: step)
-    monkeypatch.setattr(grids, "_physics", lambda _step: False)
+    monkeypatch.setattr(required_grid, "excess", lambda assessment: float(assessment.worst >= 9.0))
+    monkeypatch.setattr(required_grid, "on_finer_grid", lambda *_: after)
+    monkeypatch.setattr(required_grid, "with_budget", lambda _e, step, *_, **__: step)
+    monkeypatch.setattr(required_grid, "misses_physics", lambda _step: False)
     first = step_of(assessment_of(9.0), spacing=fine)
-    found = grids.on_required_grid(experiment, [first, near], None, screening=True)
+    found = required_grid.on_required_grid(experiment, [first, near], None, screening=True)
     assert 1.2 < near.assessment.worst < LARGEST_GRID_ERROR and found.belief is near.belief
     assert found.stays is left
 
@@ -587,12 +592,12 @@ def test_a_search_on_a_coarser_grid_begins_where_the_model_was_on_it(monkeypatch
     monkeypatch.setattr(probing, "on_grid", lambda _e, step, _s, _r, **_: begun.append(step.belief))
     near, far = (truth.with_parameter(FREE[0], value=6e4 * factor) for factor in (0.99, 1.5))
     for rough, now, expected in ((near, far, near), (far, near, near), (None, far, far)):
-        here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, rough=rough)
+        here = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=now, coarse_belief=rough)
         probing.on_coarse_grid(experiment, here, COARSE)
         assert begun.pop() is expected
     # A model that has changed since begins where it is.
     fixed = near.with_parameter(FREE[0], free=False)
-    other = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=far, rough=fixed)
+    other = replace(step_of(assessment_of(3.0)), spacing=FINE, belief=far, coarse_belief=fixed)
     probing.on_coarse_grid(experiment, other, COARSE)
     assert begun.pop() is far
 
@@ -601,8 +606,8 @@ def test_a_step_on_a_finer_grid_knows_where_it_was_on_the_coarser() -> None:
     experiment, truth = scene()
     step = step_at(experiment, truth.with_parameter(FREE[0], value=6.3e4), COARSE)
     fine = grids.on_grid(experiment, step, FINE, tangents=False)
-    assert fine.rough is step.belief is not fine.belief
-    assert grids.on_grid(experiment, fine, COARSE, tangents=False).rough is None
+    assert fine.coarse_belief is step.belief is not fine.belief
+    assert grids.on_grid(experiment, fine, COARSE, tangents=False).coarse_belief is None
 
 
 class Recordings:
@@ -653,9 +658,9 @@ def test_causes_of_the_others_misfit_are_looked_for_from_what_explains_the_simpl
 
 
 def test_excess_is_the_mean_over_ranges_of_what_noise_does_not_explain() -> None:
-    assert grids.excess(assessment_of(2.0, 0.5)) == pytest.approx(1.5)
-    assert grids.excess(excess_of(0.3)) == pytest.approx(0.3)
-    assert np.isclose(grids.excess(assessment_of(1.0)), 0.0)
+    assert required_grid.excess(assessment_of(2.0, 0.5)) == pytest.approx(1.5)
+    assert required_grid.excess(excess_of(0.3)) == pytest.approx(0.3)
+    assert np.isclose(required_grid.excess(assessment_of(1.0)), 0.0)
 
 
 # ---- the last digits --------------------------------------------------------------------------
@@ -722,7 +727,7 @@ def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
             misfit = misfits[belief[FREE[0]].value]
             return SimpleNamespace(misfit=misfit, cost=misfit**2)
 
-    def approached(problem: Asked, _lender: object, belief: Belief, **_: object) -> Belief:
+    def approached(problem: Asked, _jacobian_problem: object, belief: Belief, **_: object) -> Belief:
         if misfits[belief[FREE[0]].value] is None:
             raise SimulationError("unstable")
         return belief
@@ -752,7 +757,7 @@ def test_what_sets_in_is_met_from_the_coarse_grids_model_or_from_before_it(
         # at the noise; on a fine grid; by Jacobians of another; what sets in; fitted to all frames
         (1.02, 1.01, {}, False),
         (1.1, 1.04, {"spacing": None}, False),
-        (1.1, 1.04, {"lender": 0.01}, False),
+        (1.1, 1.04, {"jacobian_spacing": 0.01}, False),
         (1.1, 1.04, {"added": ("contact",)}, False),
         (1.1, 1.04, {"reconciled": True}, False),
     ],
@@ -781,11 +786,11 @@ def test_no_finer_grid_is_asked_where_two_grids_say_that_it_would_be_too_little(
     last = step_of(assessment_of(coarse), added=("air_drag",), free=1, spacing=trying())
     moved = step_of(assessment_of(fine), added=("air_drag",), free=1, spacing=deciding())
     asked: list[str] = []
-    monkeypatch.setattr(grids, "complete", lambda _e, step: step)
-    monkeypatch.setattr(grids, "next_spacing", lambda *_: deciding())
-    monkeypatch.setattr(grids, "on_grid", lambda *_, **__: moved)
-    monkeypatch.setattr(grids, "known_budget", lambda _step: False)
-    monkeypatch.setattr(grids, "with_budget", lambda _e, step, *_, **__: step)
-    monkeypatch.setattr(grids, "on_finer_grid", lambda *_: asked.append("finer"))
-    assert grids.on_required_grid(experiment, [first, last], None, screening=True) is moved
+    monkeypatch.setattr(required_grid, "complete", lambda _e, step: step)
+    monkeypatch.setattr(required_grid, "next_spacing", lambda *_: deciding())
+    monkeypatch.setattr(required_grid, "on_grid", lambda *_, **__: moved)
+    monkeypatch.setattr(required_grid, "known_budget", lambda _step: False)
+    monkeypatch.setattr(required_grid, "with_budget", lambda _e, step, *_, **__: step)
+    monkeypatch.setattr(required_grid, "on_finer_grid", lambda *_: asked.append("finer"))
+    assert required_grid.on_required_grid(experiment, [first, last], None, screening=True) is moved
     assert asked == ([] if beyond else ["finer"])

@@ -11,9 +11,10 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, SPACING, recorded
 from mphygs.capture.holds import Load
-from mphygs.diagnose.contact_search import Plane
-from mphygs.extend import discovery as discover_module
-from mphygs.extend.discovery import discover_effects, first_fit
+from mphygs.diagnose.wall import Plane
+from mphygs.extend import first_fit as first_fit_module
+from mphygs.extend.discovery import discover_effects
+from mphygs.extend.first_fit import first_fit
 from mphygs.extend.first_window import tractable_window
 from mphygs.fit import schedule
 from mphygs.fit.experiment import Experiment
@@ -79,7 +80,7 @@ def test_what_is_gross_on_the_screening_grid_is_not_dwelt_on(monkeypatch: pytest
         evaluation = experiment.problem(SPACING).evaluate(belief)
         return Solution(belief, evaluation, (evaluation.cost,), True, "kept"), None
 
-    monkeypatch.setattr(discover_module, "fit_belief", fit)
+    monkeypatch.setattr(first_fit_module, "fit_belief", fit)
     for deciding, gross in ((0.8 * SPACING, TRACTABLE), (SPACING, np.inf)):
         monkeypatch.setattr(schedule, "deciding_spacing", lambda _capture, d=deciding: d)
         step = first_fit(experiment, belief, SPACING)

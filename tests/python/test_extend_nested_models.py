@@ -11,7 +11,7 @@ import pytest
 from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, assessment_of, recorded
 from mphygs.extend import nested_models
-from mphygs.extend.discovery import _conclude
+from mphygs.extend.conclusion import conclude
 from mphygs.extend.nested_effects import SHORT, at_short_time_limit
 from mphygs.extend.nested_models import with_simpler_effects
 from mphygs.extend.step import Step
@@ -49,7 +49,7 @@ def test_still_air_is_named_and_the_wind_is_a_tie() -> None:
     assert after.belief.effects == ("air_drag",) and after.explained and "air_drag" in said[-1]
     drag = after.belief["air_drag.c_d"]
     assert drag.free and drag.value == pytest.approx(DRAG, rel=0.05)
-    assert _conclude([step, after], [], []).effects == ("air_drag",)
+    assert conclude([step, after], [], []).effects == ("air_drag",)
 
 
 def test_a_wind_that_blows_stays() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import SIGMA, recorded
-from mphygs.diagnose.contact_search import Plane, hold_friction
+from mphygs.diagnose.wall import Plane, hold_friction
 from mphygs.extend import onset_fit
 from mphygs.extend.onset_fit import fit_onset_then_all, only_onset_free, with_onset_fitted
 from mphygs.fit.experiment import Experiment

@@ -14,13 +14,14 @@ from extend_example import SPACING, entry_of, recorded, refit_of
 from mphygs.capture.format import Capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.autoregression import Autoregression
-from mphygs.diagnose.contact_search import Plane
 from mphygs.diagnose.held_out import GainInterval
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import RankedEffect
-from mphygs.extend import refit
+from mphygs.diagnose.wall import Plane
+from mphygs.extend import refit, refit_beginning
 from mphygs.extend.known_slopes import _evaluated, approached_from
-from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
+from mphygs.extend.refit import finish_refit, unseen_gain
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.fit import levenberg_marquardt
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
@@ -91,7 +92,7 @@ def test_only_a_wall_brings_materials_of_its_own() -> None:
     soft = belief.with_parameter(FREE[0], value=2e4)
     for kind, kept in (("threshold", 2e4), ("smooth", 6e4)):
         entry = entry_of("contact", 100.0, kind=kind)
-        start = refit._scaled(entry, with_wall(soft, plane), belief, 1.0)
+        start = refit_beginning._scaled(entry, with_wall(soft, plane), belief, 1.0)
         assert start[FREE[0]].value == pytest.approx(kept)
         # What else the model has stays as it is, linear or not.
         assert start["viscosity.eta"].log == belief["viscosity.eta"].log
@@ -135,8 +136,8 @@ def test_a_refit_begins_at_the_strength_that_fits_best(
         started.append(start["viscosity.eta"].value)
         raise SimulationError("only the start is asked for")
 
-    monkeypatch.setattr(refit, "approached_from", lambda _problem, _before, start: start)
-    monkeypatch.setattr(refit, "minimise", first)
+    monkeypatch.setattr(refit_beginning, "approached_from", lambda _problem, _before, start: start)
+    monkeypatch.setattr(refit_beginning, "minimise", first)
     start = scene()[1].belief.with_effect("viscosity", {"eta": estimate * ETA})
     assert begun(entry=entry_of("viscosity", 1000.0, start=start)) == (None, [])
     assert started == [pytest.approx(strength * estimate * ETA)]
@@ -156,7 +157,7 @@ def test_a_refit_begins_at_the_strength_that_fits_best(
 def test_a_refit_that_still_falls_goes_on(
     costs: list[float], asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refit, "promise", lambda *_: 0.0)
+    monkeypatch.setattr(refit_beginning, "promise", lambda *_: 0.0)
     _, before, usual, _ = scene()
     evaluation, left, seen = before.evaluation, costs[1:], []
 
@@ -168,8 +169,8 @@ def test_a_refit_that_still_falls_goes_on(
         return Solution(belief, evaluation, (last, now), False, "iterations used up")
 
     first = Solution(usual.start, evaluation, (200.0, costs[0]), False, "iterations used up")
-    monkeypatch.setattr(refit, "_led", lambda *_: first)
-    monkeypatch.setattr(refit, "minimise", further)
+    monkeypatch.setattr(refit_beginning, "_led", lambda *_: first)
+    monkeypatch.setattr(refit_beginning, "minimise", further)
     found, said = begun(iterations=2)
     assert found is not None and len(seen) == 1 + asked and set(seen) == {1}
     made = len(costs) - len(left)
@@ -188,10 +189,10 @@ def test_a_refit_goes_on_where_the_next_iteration_promises_much(
         seen.append(iterations)
         return Solution(belief, before.evaluation, (95.0, 20.0), True, "converged")
 
-    monkeypatch.setattr(refit, "promise", lambda *_: promised * 95.0)
-    monkeypatch.setattr(refit, "minimise", further)
+    monkeypatch.setattr(refit_beginning, "promise", lambda *_: promised * 95.0)
+    monkeypatch.setattr(refit_beginning, "minimise", further)
     last = Solution(usual.start, before.evaluation, (100.0, 95.0), False, "iterations used up")
-    assert (refit._further(None, last, 1e-3) is not None) is asked
+    assert (refit_beginning._further(None, last, 1e-3) is not None) is asked
     assert seen == [1] * asked
 
 
@@ -203,11 +204,13 @@ def test_a_refit_whose_jacobian_cannot_be_computed_goes_no_further() -> None:
 
     blind = replace(before.evaluation, slopes=unstable)
     last = Solution(usual.start, blind, (100.0, 95.0), False, "iterations used up")
-    assert refit._further(None, last, 1e-3) is None
+    assert refit_beginning._further(None, last, 1e-3) is None
 
 
 def test_no_jacobian_is_asked_what_noise_rules_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refit, "promise", lambda _belief, evaluation: 0.0 * evaluation.jacobian[0, 0])
+    monkeypatch.setattr(
+        refit_beginning, "promise", lambda _belief, evaluation: 0.0 * evaluation.jacobian[0, 0]
+    )
     _, before, usual, _ = scene()
     asked: list[bool] = []
 
@@ -218,8 +221,8 @@ def test_no_jacobian_is_asked_what_noise_rules_out(monkeypatch: pytest.MonkeyPat
         return Solution(usual.start, found, (1.05 * found.cost, found.cost), False, "iterations used up")
 
     # 0.7 of 1.1 squared is less than one.
-    assert refit._further(None, at(1.1), 1e-3) is None and not asked
-    assert refit._further(None, at(1.3), 1e-3) is None and asked
+    assert refit_beginning._further(None, at(1.1), 1e-3) is None and not asked
+    assert refit_beginning._further(None, at(1.3), 1e-3) is None and asked
 
 
 @pytest.mark.parametrize(
@@ -245,10 +248,10 @@ def test_a_hopeless_refit_that_falls_has_as_many_iterations_as_another(
         return Solution(belief, at(costs[-1]), tuple(costs), False, "iterations used up")
 
     first = Solution(usual.start, at(1e5), (2e5, 1e5), False, "iterations used up")
-    monkeypatch.setattr(refit, "_led", lambda *_: first)
-    monkeypatch.setattr(refit, "minimise", further)
+    monkeypatch.setattr(refit_beginning, "_led", lambda *_: first)
+    monkeypatch.setattr(refit_beginning, "minimise", further)
     _, said = begun(iterations=2, hopeless=hopeless)
-    assert f"after {2 + refit.MORE} iterations" in said[0]
+    assert f"after {2 + refit_beginning.MORE} iterations" in said[0]
 
 
 def test_a_refit_finds_its_effect() -> None:
@@ -328,9 +331,9 @@ def test_a_refit_that_is_begun_goes_on_to_the_accuracy_asked_for(monkeypatch: py
         asked.append(relative_tolerance)
         return minimise(*given, relative_tolerance=relative_tolerance, **named)
 
-    monkeypatch.setattr(refit, "minimise", counted)
+    monkeypatch.setattr(refit_beginning, "minimise", counted)
     # The first iteration, those that bring much, the rest.
-    monkeypatch.setattr(refit, "FALLING", 1.0)
+    monkeypatch.setattr(refit_beginning, "FALLING", 1.0)
     assert start_refit(experiment, before, entry, SPACING, iterations=2, hopeless=0.0, accuracy=1e-5)
     alone = len(asked)
     assert alone > 1 and set(asked) == {1e-5}
@@ -341,14 +344,14 @@ def test_a_refit_that_is_begun_goes_on_to_the_accuracy_asked_for(monkeypatch: py
 def test_a_hopeless_refit_ends_once_it_hardly_falls(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(levenberg_marquardt, "SECANTS", 0)  # with them the first iteration is the last
     with monkeypatch.context() as patch:
-        patch.setattr(refit, "MORE", 0)
+        patch.setattr(refit_beginning, "MORE", 0)
         once, _ = begun(iterations=1)
     first = once.evaluation.chi_square
     # The first iteration took more than three tenths of the cost: another one is made, and takes it below.
     fallen, said = begun(hopeless=0.9 * first)
     assert not said[0].endswith("after 1 iterations")
     assert fallen.evaluation.chi_square < 0.9 * first
-    monkeypatch.setattr(refit, "FALLING", 1e-9)
+    monkeypatch.setattr(refit_beginning, "FALLING", 1e-9)
     solution, said = begun(hopeless=0.9 * first)
     assert said[0].endswith("after 1 iterations")
     assert solution.evaluation.chi_square == pytest.approx(first)
@@ -514,7 +517,9 @@ def test_a_coarser_grid_leads_a_refit(monkeypatch: pytest.MonkeyPatch) -> None:
     count = len(asked)
     assert set(asked) == {SPACING}
     asked.clear()
-    led = start_refit(experiment, before, entry, SPACING, iterations=4, lender=experiment.problem(coarse))
+    led = start_refit(
+        experiment, before, entry, SPACING, iterations=4, jacobian_problem=experiment.problem(coarse)
+    )
     assert asked[0] == coarse and asked.count(SPACING) < count
     assert led.evaluation.chi_square == pytest.approx(alone.evaluation.chi_square, rel=0.05)
     assert led.belief["viscosity.eta"].value == pytest.approx(ETA, rel=0.1)

@@ -20,16 +20,8 @@ from mphygs.extend.candidate_table import with_fitted_numbers
 from mphygs.extend.finer_grid import on_finer_grid
 from mphygs.extend.grids import with_budget
 from mphygs.extend.step import Step, from_grid_to_grid, known_budget
-from mphygs.extend.steps import (
-    bounded,
-    restored,
-    run_at,
-    state_of,
-    step_at,
-    step_document,
-    steps_text,
-    uncertainty,
-)
+from mphygs.extend.step_uncertainty import bounded, uncertainty
+from mphygs.extend.steps import restored, run_at, state_of, step_at, step_document, steps_text
 from mphygs.fit.belief_document import document_of_belief
 from mphygs.fit.boundary_share import boundary_columns
 from mphygs.fit.experiment import Experiment
@@ -124,7 +116,8 @@ def same(step: Step, other: Step) -> None:
     assert other.assessment.ratio == step.assessment.ratio
     assert other.assessment.budget == step.assessment.budget
     assert other.explained == step.explained
-    for key in ("spacing", "lender", "beside", "added", "ties", "since", "dropped", "reconciled", "warnings"):
+    grids = ("spacing", "jacobian_spacing", "refinement_spacing", "window_share")
+    for key in (*grids, "added", "ties", "dropped", "reconciled", "warnings"):
         assert getattr(other, key) == getattr(step, key)
 
 
@@ -141,12 +134,12 @@ def test_a_step_is_restored_as_it_was() -> None:
     experiment, plain_step = bar()
     same(plain_step, again(experiment, plain_step))
     full = replace(
-        plain_step, added=("viscosity",), ties=("wind",), since=0.25, reconciled=True, dropped=("gravity",),
-        warnings=("something",),
+        plain_step, added=("viscosity",), ties=("wind",), window_share=0.25, reconciled=True,
+        dropped=("gravity",), warnings=("something",),
     )  # fmt: skip
     same(full, again(experiment, full, ("gravity",)))
     rough = plain_step.belief.with_parameter(KEY, value=5e4)
-    kept = again(experiment, replace(full, rough=rough)).rough
+    kept = again(experiment, replace(full, coarse_belief=rough)).coarse_belief
     assert document_of_belief(kept) == document_of_belief(rough)
 
 
@@ -156,7 +149,7 @@ def test_a_step_is_restored_with_the_grids_share() -> None:
     assert known.assessment.budget["discretisation"] > 0.0 == step.assessment.budget["discretisation"]
     same(known, again(experiment, known))
     # A coarser grid's word is not a finer one's.
-    rough = with_budget(experiment, step, beside=1.5 * COARSE)
+    rough = with_budget(experiment, step, refinement_spacing=1.5 * COARSE)
     assert not np.array_equal(rough.compared["a"].refinement, known.compared["a"].refinement)
     same(rough, again(experiment, rough))
 
@@ -164,7 +157,7 @@ def test_a_step_is_restored_with_the_grids_share() -> None:
 def test_a_step_is_restored_with_the_tangents_that_it_borrowed() -> None:
     experiment, step = bar()
     lent = on_finer_grid(experiment, replace(step, added=("viscosity",)))
-    assert lent.lender == COARSE != lent.spacing
+    assert lent.jacobian_spacing == COARSE != lent.spacing
     same(lent, again(experiment, lent))
 
 

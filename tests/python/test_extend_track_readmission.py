@@ -12,7 +12,7 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import SPACING, recorded
 from mphygs.compare.noise import Observation
 from mphygs.extend import track_readmission
-from mphygs.extend.discovery import _conclude
+from mphygs.extend.conclusion import conclude
 from mphygs.extend.step import Step
 from mphygs.extend.steps import left_out_of, step_at, step_document
 from mphygs.extend.track_readmission import FAULT, with_tracks_readmitted
@@ -57,7 +57,7 @@ def test_what_the_model_predicts_is_used_again() -> None:
     assert said == [f"{LEFT_OUT} measurements that were left out are as predicted: used again"]
     first = step_at(experiment, truth()[1], SPACING)
     fault = step_at(experiment, truth()[1], SPACING, added=(FAULT,))
-    concluded = _conclude([first, fault, found], [], [])
+    concluded = conclude([first, fault, found], [], [])
     assert (concluded.verdict, concluded.effects) == ("missing", ("viscosity",))
     assert step_document(found, experiment, (FAULT,))["effects"] == ["viscosity"]
     # Asked again there is nothing left to admit.

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from extend_example import plain_belief
-from mphygs.fit import damped_step, levenberg_marquardt
-from mphygs.fit.levenberg_marquardt import approached, minimise
+from mphygs.fit import borrowed_jacobians, damped_step, levenberg_marquardt
+from mphygs.fit.borrowed_jacobians import approached
+from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -228,7 +229,7 @@ def test_the_jacobians_of_a_coarser_grid_lead_near_the_minimum() -> None:
     belief = approached(fine, coarse, start(), **tight)
     assert fine.jacobians == 0 < coarse.jacobians and coarse.forwards == 0
     np.testing.assert_allclose(belief.coordinates, TRUTH, atol=1e-3)
-    solution = minimise(fine, start(), lender=Coarse(), **tight)
+    solution = minimise(fine, belief, **tight)
     np.testing.assert_allclose(solution.belief.coordinates, TRUTH, atol=1e-5)
     assert 0 < fine.jacobians < alone.jacobians
 
@@ -238,10 +239,10 @@ def test_lent_jacobians_that_hardly_help_are_no_longer_asked_for(monkeypatch: py
         """Far from the truth at its best, so that every iteration brings ever less."""
 
     def lent(leads: float) -> tuple[int, float]:
-        monkeypatch.setattr(levenberg_marquardt, "LEADS", leads)
-        lender = Coarse()
-        found = approached(Astray(), lender, start(), tolerance=1e-8, relative_tolerance=0.0)
-        return lender.jacobians, Lacking().evaluate(found).cost
+        monkeypatch.setattr(borrowed_jacobians, "LEADS", leads)
+        jacobian_problem = Coarse()
+        found = approached(Astray(), jacobian_problem, start(), tolerance=1e-8, relative_tolerance=0.0)
+        return jacobian_problem.jacobians, Lacking().evaluate(found).cost
 
     (few, near), (many, best) = lent(1e-2), lent(0.0)
     assert few < many and best <= near < 1.01 * best
@@ -258,9 +259,9 @@ def test_a_lender_that_breaks_down_loses_nothing() -> None:
 
     before = Toy().evaluate(start()).cost
     for good, share in ((0, 1.0), (1, 0.5)):
-        lender = Breaking()
-        lender.good = good
-        found = approached(Toy(), lender, start())
+        jacobian_problem = Breaking()
+        jacobian_problem.good = good
+        found = approached(Toy(), jacobian_problem, start())
         assert Toy().evaluate(found).cost <= share * before
     with pytest.raises(SimulationError):
         approached(Toy(limit=-np.inf), Coarse(), start())

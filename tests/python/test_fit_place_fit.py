@@ -9,21 +9,14 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.extend.steps import step_at, step_document, uncertainty
-from mphygs.fit import place_fit
+from mphygs.extend.step_uncertainty import uncertainty
+from mphygs.extend.steps import step_at, step_document
+from mphygs.fit import place_fit, place_uncertainty
 from mphygs.fit.determined import information_of
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise
-from mphygs.fit.place_fit import (
-    located,
-    movable,
-    moved,
-    place_columns,
-    place_of,
-    places_document,
-    relocated,
-    with_place_uncertainty,
-)
+from mphygs.fit.place_fit import movable, moved, place_columns, place_of, relocated
+from mphygs.fit.place_uncertainty import located, places_document, with_place_uncertainty
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
@@ -224,7 +217,7 @@ def test_a_place_beside_which_nothing_can_be_simulated_counts_as_known(
     def unstable(*_: object, **__: object) -> None:
         raise SimulationError("unstable")
 
-    monkeypatch.setattr(place_fit, "place_columns", unstable)
+    monkeypatch.setattr(place_uncertainty, "place_columns", unstable)
     alone, information = covariance(evaluation), information_of(evaluation, len(truth.free))
     same = with_place_uncertainty(problem, truth, evaluation, alone, information)
     assert np.array_equal(same.covariance, alone) and same.std == {}

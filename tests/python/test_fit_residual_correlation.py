@@ -32,9 +32,9 @@ def test_white_noise_shows_nothing_and_the_others_what_they_are() -> None:
     for seed in range(20):
         assert not residual_correlation(noise("white", np.random.default_rng(seed)), observed).found
     common = residual_correlation(noise("common", np.random.default_rng(1)), observed)
-    assert common.common[0] == pytest.approx(0.5, abs=0.15) and not common.own
+    assert common.common[0] == pytest.approx(0.5, abs=0.15) and not common.single
     own = residual_correlation(noise("lasting", np.random.default_rng(1)), observed)
-    assert own.own[0] == pytest.approx(0.45, abs=0.1) and len(own.own) > 5 and not own.common
+    assert own.single[0] == pytest.approx(0.45, abs=0.1) and len(own.single) > 5 and not own.common
 
 
 @pytest.mark.parametrize("kind", ["white", "common", "lasting"])

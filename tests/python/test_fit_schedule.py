@@ -14,20 +14,13 @@ from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
 from mphygs.commands import discover as discover_command
 from mphygs.commands.console import Console
-from mphygs.fit import checkpointed, levenberg_marquardt, schedule
+from mphygs.fit import checkpointed, levenberg_marquardt, schedule, spacings, stiffness_scale
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.run import Run, StageRecord, load_run
-from mphygs.fit.schedule import (
-    SCREENING_ACCURACY,
-    TRACTABLE,
-    ScheduleStage,
-    deciding_spacing,
-    fit_belief,
-    plan_of,
-    screening_spacing,
-)
+from mphygs.fit.schedule import SCREENING_ACCURACY, TRACTABLE, ScheduleStage, fit_belief, plan_of
+from mphygs.fit.spacings import deciding_spacing, screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.prediction import Settings
@@ -178,17 +171,17 @@ def test_a_part_of_stone_among_others_is_as_stiff_as_they_are() -> None:
             belief = belief.with_parameter(f"part{k}.youngs_modulus", value=value)
         return belief
 
-    found = schedule.without_stiffest(moduli(4e4, 9e5, 1e5))
+    found = stiffness_scale.without_stiffest(moduli(4e4, 9e5, 1e5))
     assert found is not None
     values = [found[f"part{k}.youngs_modulus"].value for k in range(3)]
     assert values == pytest.approx([4e4, (4e4 * 1e5) ** 0.5, 1e5])
     # Less than twice the next, and a light part that is soft, in which waves are as fast.
-    assert schedule.without_stiffest(moduli(4e4, 1.9e5, 1e5)) is None
+    assert stiffness_scale.without_stiffest(moduli(4e4, 1.9e5, 1e5)) is None
     light = moduli(4e4, 3e5, 1e5).with_parameter("part2.density", value=10.0)
-    assert schedule.without_stiffest(light) is None
+    assert stiffness_scale.without_stiffest(light) is None
     held = moduli(4e4, 9e5, 1e5)
     fixed = tuple(replace(p, free=p.free and p.key != "part1.youngs_modulus") for p in held.parameters)
-    assert schedule.without_stiffest(replace(held, parameters=fixed)) is None
+    assert stiffness_scale.without_stiffest(replace(held, parameters=fixed)) is None
 
 
 def test_the_plan_of_a_screening_fit_dwells_on_nothing_gross() -> None:
@@ -294,7 +287,8 @@ def test_a_screening_fit_has_one_grid_whatever_the_rounding(
     default: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """1.7 times 0.0037 m is more than 0.00629 m by a bit."""
-    monkeypatch.setattr(schedule, "default_spacing", lambda _capture: default)
+    for module in (schedule, spacings):
+        monkeypatch.setattr(module, "default_spacing", lambda _capture: default)
     coarse = screening_spacing(bar_capture())
     plan = plan_of(bar_capture(), coarse, warm=False, screening=True)
     assert [stage.spacing for stage in plan] == [coarse] * 3
@@ -309,7 +303,7 @@ def test_a_valley_between_two_scales_is_found(valley: float) -> None:
         away = np.log(belief[FREE[0]].value / 1e5 / valley)
         return SimpleNamespace(cost=2e4 * (1.0 + 0.02 * abs(away)) - 1.9e4 * np.exp(-((away / 0.3) ** 2)))
 
-    found = schedule.find_scale(SimpleNamespace(evaluate=evaluate), start)[FREE[0]].value
+    found = stiffness_scale.find_scale(SimpleNamespace(evaluate=evaluate), start)[FREE[0]].value
     assert abs(np.log(found / 1e5 / valley)) < 0.15
 
 
@@ -322,10 +316,10 @@ def test_a_stiffness_beyond_the_usual_ones_is_found(young: float) -> None:
     problem = Experiment.of(made, Settings(0.01, workers=1)).problem(0.01)
     start = truth.with_parameter(FREE[0], value=1e5)
     tried: list[str] = []
-    found = schedule.find_scale(problem, start, tried.append)[FREE[0]].value
+    found = stiffness_scale.find_scale(problem, start, tried.append)[FREE[0]].value
     # Scales are half a decade apart.
     assert abs(np.log10(found / young)) < 0.3
-    assert len(tried) > len(schedule.SCALES)
+    assert len(tried) > len(stiffness_scale.SCALES)
     # It ends at the bounds, not beyond them.
     bounded = start.with_parameter(FREE[0], upper=5e6)
-    assert schedule.find_scale(problem, bounded)[FREE[0]].value <= 5e6
+    assert stiffness_scale.find_scale(problem, bounded)[FREE[0]].value <= 5e6

@@ -108,9 +108,9 @@ def test_known_force_is_recovered_beside_a_free_stiffness() -> None:
     assert missing.after < 1.1 * missing.rows
     assert missing.explained > 0.99
     found = missing.found["a"]
-    a = found.seen.basis.over_time(found.values)[1:]
+    a = found.seen_force.basis.over_time(found.values)[1:]
     b = acceleration[1:]
-    weight = found.seen.basis.mass[:, None]
+    weight = found.seen_force.basis.mass[:, None]
     correlation = (weight * a * b).sum() / np.sqrt((weight * a**2).sum() * (weight * b**2).sum())
     assert correlation > 0.9
     assert force_place([sample_of("a", found)])[0]["part"] == "part1"
@@ -246,7 +246,7 @@ def test_a_motion_is_followed_from_where_it_is_not_far_off(
         return SimpleNamespace(chi_square=50 * misfit**2, residuals={"a": np.zeros(50)})
 
     monkeypatch.setattr(finding, "_narrowed", lambda _problem, _whole, share: (None, share))
-    monkeypatch.setattr(finding, "_state", state)
+    monkeypatch.setattr(finding, "state_at", state)
     assert finding._stages(None, {}, None, {}) == stages
 
 
@@ -277,12 +277,14 @@ def test_a_force_is_followed_as_long_as_a_step_takes_a_good_share(
         )
 
     said: list[str] = []
-    monkeypatch.setattr(finding, "_matrix", lambda *_: SimpleNamespace(whole=np.eye(3), exact={}))
-    monkeypatch.setattr(finding, "_gradient", lambda *_: np.zeros(3))
-    monkeypatch.setattr(finding, "_step", lambda *_: (1.0, np.zeros(3), 0.0))
-    monkeypatch.setattr(finding, "_moved", lambda *_: state(next(left)))
-    monkeypatch.setattr(finding, "_cost", lambda state, *_: state.chi_square)
-    finding._descend(None, {"a": SimpleNamespace(seen=None)}, state(chi_squares[0]), 3, 1.0, said.append)
+    monkeypatch.setattr(finding, "matrix_of", lambda *_: SimpleNamespace(whole=np.eye(3), exact={}))
+    monkeypatch.setattr(finding, "gradient_of", lambda *_: np.zeros(3))
+    monkeypatch.setattr(finding, "penalised_step", lambda *_: (1.0, np.zeros(3), 0.0))
+    monkeypatch.setattr(finding, "stepped", lambda *_: state(next(left)))
+    monkeypatch.setattr(finding, "penalised_cost", lambda state, *_: state.chi_square)
+    finding._descend(
+        None, {"a": SimpleNamespace(seen_force=None)}, state(chi_squares[0]), 3, 1.0, said.append
+    )
     assert len(said) == steps
 
 

@@ -62,9 +62,9 @@ def test_a_shift_is_seen_with_its_sign_and_size(gaussians: Gaussians, shift: tup
 def test_what_is_explained_pulls_nowhere(gaussians: Gaussians) -> None:
     sight = seen(gaussians, photograph_of(gaussians))
     assert np.abs(displacement(sight)).max() < 5e-3 and sight.difference < 0.02
-    assert np.median(sight.trust[sight.seen]) > 0.9
-    assert (sight.trust[~sight.seen] == 0).all() and (sight.information[~sight.seen] == 0).all()
-    assert (np.linalg.eigvalsh(sight.information[sight.seen]) > -1e-9).all()
+    assert np.median(sight.trust[sight.visible]) > 0.9
+    assert (sight.trust[~sight.visible] == 0).all() and (sight.information[~sight.visible] == 0).all()
+    assert (np.linalg.eigvalsh(sight.information[sight.visible]) > -1e-9).all()
 
 
 def test_noise_makes_it_less_sure(gaussians: Gaussians) -> None:
@@ -87,10 +87,10 @@ def test_points_at_the_back_are_hidden(gaussians: Gaussians) -> None:
     normal[np.arange(len(points)), side] = np.sign(centred[np.arange(len(points)), side])
     facing = normal @ way / np.linalg.norm(way)
     # but for some at the outline, where less than a third of a pixel is covered
-    assert sight.seen[facing > 0.4].mean() > 0.9
+    assert sight.visible[facing > 0.4].mean() > 0.9
     # not at the edges, where the front is near
     back = (facing < -0.4) & (np.sort(np.abs(centred / half), axis=1)[:, 1] < 0.7)
-    assert back.sum() > 50 and sight.seen[back].mean() < 0.1
+    assert back.sum() > 50 and sight.visible[back].mean() < 0.1
 
 
 def test_points_off_the_picture_or_behind_the_camera_are_not_seen(gaussians: Gaussians) -> None:
@@ -111,8 +111,8 @@ def test_what_covers_the_object_is_not_trusted(gaussians: Gaussians) -> None:
     sight = seen(gaussians, replace(photograph, colour=colour))
     pixels = CAMERA.project(gaussians.positions.numpy().astype(np.float64))[0]
     left, right = pixels[:, 0] < half - 6, pixels[:, 0] > half + 12
-    assert np.median(sight.trust[sight.seen & left]) < 0.3
-    assert np.median(sight.trust[sight.seen & right]) > 0.7
+    assert np.median(sight.trust[sight.visible & left]) < 0.3
+    assert np.median(sight.trust[sight.visible & right]) > 0.7
 
 
 def test_another_brightness_is_no_motion(gaussians: Gaussians) -> None:

@@ -7,7 +7,8 @@ import pytest
 from capture_example import shared
 from mphygs.capture.format import load_capture
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import default_spacing, fit_belief
+from mphygs.fit.schedule import fit_belief
+from mphygs.fit.spacings import default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.simulate.prediction import Settings
 

@@ -116,7 +116,9 @@ def test_the_sentence_says_what_was_found(verdict: str, effects: list[str], word
 def test_films_are_thinned_to_their_budget() -> None:
     generator = np.random.default_rng(0)
     film = Filmed((0, 4), list(range(12)))
-    film.seen = film.drawn = [generator.integers(0, 255, (64, 64, 3), dtype=np.uint8) for _ in range(12)]
+    film.photographs = film.drawn = [
+        generator.integers(0, 255, (64, 64, 3), dtype=np.uint8) for _ in range(12)
+    ]
     whole, small = film.document("f", 1_000_000), film.document("f", 40_000)
     assert whole["frames"] == list(range(12)) and whole["fitted"][:5] == [True] * 4 + [False]
     assert 3 <= len(small["frames"]) < 12 and sum(map(len, small["seen"] + small["drawn"])) <= 40_000

@@ -16,7 +16,7 @@ from mphygs.capture.folder_mark import MARK, is_marked
 from mphygs.capture.format import load_capture
 from mphygs.capture.written import replace_arrays, replace_file
 from mphygs.commands import command as frame
-from mphygs.commands import compare, fit, in_use, predict, report, synth
+from mphygs.commands import compare, fit, fit_begun, in_use, predict, report, synth
 from mphygs.commands.claim import claim, claim_capture, claim_file, claim_output, clear, is_own_file
 from mphygs.commands.in_use import HeldError, held, hold
 from mphygs.commands.options import CommonOptions, OptionError
@@ -149,7 +149,7 @@ def test_the_default_folder_of_a_run_stays_among_the_runs(
         (work / "capture" / "capture.json").write_text(json.dumps(document))
         code, _, _ = call(fit.main, "capture", "--spacing", SPACING, "--frames", "bad")
         assert code == 2
-        where = fit._default_folder(fit.FitOptions(capture=work / "capture"))
+        where = fit_begun._default_folder(fit.FitOptions(capture=work / "capture"))
         assert where.parent == Path("runs") and where.name == folder_name(name)
         assert where.resolve().parent == (work / "runs").resolve()
         assert len(where.name.encode()) <= 100 and not where.name.startswith(".")
@@ -201,7 +201,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_folder_of_somebody_else_is_refused(files: tuple[str, ...], tmp_path: Path) -> None:
     before = mine(tmp_path / "mine", *files)
     with pytest.raises(OptionError, match="expected a run folder, or a new one"):
-        claim(tmp_path / "mine", beside=("first-fit",), alone="steps.json")
+        claim(tmp_path / "mine", inner_runs=("first-fit",), alone="steps.json")
     for function in (claim_capture, claim_output):
         with pytest.raises(OptionError, match="expected a new folder"):
             function(tmp_path / "mine")

@@ -11,7 +11,7 @@ import pytest
 
 from mphygs.capture.actuators import Pressure
 from mphygs.capture.format import load_capture
-from mphygs.synth import finite_element
+from mphygs.synth import finite_element_body
 from mphygs.synth.brick_mesh import brick_mesh
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.finite_element_drive import Driven
@@ -293,7 +293,7 @@ def test_both_simulators_move_a_flower_that_carries_its_weight(tmp_path) -> None
 
 
 def test_a_node_on_a_wall_sticks_up_to_mu_times_what_presses_on_it() -> None:
-    body = object.__new__(finite_element._Body)
+    body = object.__new__(finite_element_body.Body)
     wall = {"d": 0.0, "n_x": 0.0, "n_y": 0.0, "n_z": 1.0, "mu": 0.5, "stiffness": 1e6}
     body.effects, body.mass = {"contact": wall}, np.full(4, 1e-3)
     body.mesh = SimpleNamespace(surface_area=np.full(4, 1e-4))

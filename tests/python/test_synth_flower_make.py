@@ -10,7 +10,7 @@ import pytest
 from flower_example import SMALL, small_flower
 from mphygs.capture.cameras import Camera
 from mphygs.capture.format import load_capture
-from mphygs.capture.views import rest_views_of, sequence_views_of
+from mphygs.capture.view_folders import rest_views_of, sequence_views_of
 from mphygs.scene.agreement import check_first_frame
 from mphygs.synth.flower import SPECIES, make_flower
 from mphygs.synth.flower.recording_settings import Shoot

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mphygs.diagnose import contact_search
-from mphygs.diagnose.contact_search import Plane
+from mphygs.diagnose import wall
 from mphygs.diagnose.effect_variants import LATE, EffectVariant, flow_variant, placed_variant
 from mphygs.diagnose.interpolated_places import variants_between
+from mphygs.diagnose.wall import Plane
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.body import Body
@@ -41,4 +41,4 @@ def between(
 
 
 def with_wall(belief: Belief, plane: Plane) -> Belief:
-    return contact_search.with_wall(belief, WALL_EFFECT, plane)
+    return wall.with_wall(belief, WALL_EFFECT, plane)

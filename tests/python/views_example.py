@@ -13,7 +13,7 @@ from mphygs.capture.cameras import Camera, looking_at, opengl_of_camera
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.images import write_image
 from mphygs.capture.rotation import quaternion_from_matrix
-from mphygs.capture.views import load_rest_views
+from mphygs.capture.view_folders import load_rest_views
 
 SIZE, COUNT = 32, 6
 

@@ -1,5 +1,10 @@
 // Gradients of the MLS-MPM transfer.
-#include "mphygs/mls_mpm/reverse.hpp"
+#include "mphygs/mls_mpm/chunk.hpp"
+#include "mphygs/mls_mpm/chunk_reverse.hpp"
+#include "mphygs/mls_mpm/held_reverse.hpp"
+#include "mphygs/mls_mpm/start.hpp"
+#include "mphygs/mls_mpm/start_reverse.hpp"
+#include "mphygs/mls_mpm/volume_reverse.hpp"
 
 namespace mphygs {
 

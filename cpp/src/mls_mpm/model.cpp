@@ -2,7 +2,8 @@
 #include <cmath>
 #include <type_traits>
 
-#include "mphygs/mls_mpm/run.hpp"
+#include "mphygs/mls_mpm/chunk.hpp"
+#include "mphygs/mls_mpm/start.hpp"
 
 namespace mphygs {
 

@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "mphygs/mls_mpm/run.hpp"
+#include "mphygs/mls_mpm/linearise.hpp"
 
 namespace mphygs {
 

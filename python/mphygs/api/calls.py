@@ -112,11 +112,11 @@ def place(out: str | Path | None) -> tuple[Path, Home | None]:
 
 
 def placed_capture(
-    capture: CaptureLike | None, out: Path, *, resume: bool = False, beside: Sequence[str] = ()
+    capture: CaptureLike | None, out: Path, *, resume: bool = False, inner_runs: Sequence[str] = ()
 ) -> Path | None:
     """The folder of a capture. One that stands in no folder as it is, is written into the run's.
 
-    beside: see `claim`. To be called within an action.
+    inner_runs: see `claim`. To be called within an action.
     """
     if capture is None or isinstance(capture, (str, Path)):
         return None if capture is None else Path(capture)
@@ -124,7 +124,7 @@ def placed_capture(
         return capture.folder
     folder = out / "capture"
     if not resume:
-        claim(out, beside=beside)
+        claim(out, inner_runs=inner_runs)
         claim_capture(folder)
     save_capture(replace(capture, folder=folder), folder)
     return folder

@@ -15,7 +15,7 @@ from mphygs.capture.format import load_capture as read_capture
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.run import load_run
-from mphygs.fit.schedule import check_spacing, default_spacing
+from mphygs.fit.spacings import check_spacing, default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 from mphygs.model.registry import USUAL_LAW, effect

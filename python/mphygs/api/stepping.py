@@ -132,7 +132,7 @@ def discover(
     folder, home = place(out)
 
     def action(options: DiscoverOptions, console: Console) -> Answer:
-        own = placed_capture(capture, folder, resume=resume, beside=(FIRST,))
+        own = placed_capture(capture, folder, resume=resume, inner_runs=(FIRST,))
         return discover_command(replace(options, capture=own), console)
 
     options = DiscoverOptions(

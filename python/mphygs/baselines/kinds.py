@@ -16,12 +16,13 @@ Baseline = Literal["homogeneous", "springs", "neural", "graph", "field", "laws",
 NAMES: tuple[Baseline, ...] = get_args(Baseline)
 
 
-def fit_baseline(run: Run, experiment: Experiment, progress: Progress, **more: object) -> Run:
-    """The complete run of the baseline of its options. more: what one takes besides, the examples of `prior`.
+def fit_baseline(run: Run, experiment: Experiment, progress: Progress, **extra: object) -> Run:
+    """The complete run of the baseline of its options. extra: what one takes besides, the examples of
+    `prior`.
 
     Raises SimulationError where it cannot start.
     """
-    return _module(baseline_of(run)).fit(run, experiment, progress, **more)
+    return _module(baseline_of(run)).fit(run, experiment, progress, **extra)
 
 
 def maker_of(run: Run) -> Maker:

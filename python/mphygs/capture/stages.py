@@ -73,9 +73,9 @@ class Stage:
     made_of: Mapping[str, object]
 
     @classmethod
-    def of(cls, path: Path, made_of: Mapping[str, object], *more: str) -> Stage:
-        """The stage whose file stands at `path`; more: of its files, by name or pattern."""
-        return cls(path.parent, (path.name, *more), plain(dict(made_of)))
+    def of(cls, path: Path, made_of: Mapping[str, object], *extra_files: str) -> Stage:
+        """The stage whose file stands at `path`; extra_files: of its files, by name or pattern."""
+        return cls(path.parent, (path.name, *extra_files), plain(dict(made_of)))
 
     def also(self, **made_of: object) -> Stage:
         """The stage made of something more."""

@@ -25,7 +25,7 @@ from mphygs.commands.batch_view import BatchView
 from mphygs.commands.claim import claim_capture, claim_file, folder_inside
 from mphygs.commands.command import DONE, FAILED, Answer, run
 from mphygs.commands.console import Console
-from mphygs.commands.fit import RUNS
+from mphygs.commands.fit_begun import RUNS
 from mphygs.commands.options import CommonOptions, OptionError, split_names
 from mphygs.simulate.settings import available_cores
 

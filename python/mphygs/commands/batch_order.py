@@ -39,8 +39,8 @@ def _options(command: str) -> type[CommonOptions] | None:
 def tasks_of(order: Order, options_type: type[CommonOptions], out: Path) -> list[Task]:
     """The runs of an order, in the order of its folders, then effects, then seeds. Raises OptionError."""
     takes = {f.name for f in fields(options_type)}
-    own = "out" in takes and ("capture" in _first(options_type) or "resume" in takes)
-    _check(order, options_type, takes, own)
+    own_folder = "out" in takes and ("capture" in _first(options_type) or "resume" in takes)
+    _check(order, options_type, takes, own_folder)
     taken = {LOGS, "batch.json", "summary.csv", "summary.html"}
     tasks = []
     for folder in order.folders:
@@ -49,7 +49,7 @@ def tasks_of(order: Order, options_type: type[CommonOptions], out: Path) -> list
             for seed in order.seeds or (None,):
                 told = [label, *([effects] if effects else []), *([] if seed is None else [f"seed-{seed}"])]
                 name = _unused("-".join(told), taken) if len(told) > 1 else label
-                run = out / name if own else None
+                run = out / name if own_folder else None
                 tasks.append(
                     Task(
                         name=name,
@@ -99,7 +99,7 @@ def _unused(name: str, taken: set[str]) -> str:
     return found
 
 
-def _check(order: Order, options_type: type[CommonOptions], takes: set[str], own: bool) -> None:
+def _check(order: Order, options_type: type[CommonOptions], takes: set[str], own_folder: bool) -> None:
     """Raises OptionError for what none of the runs could be."""
     program = f"mphygs {order.command}"
     if not order.folders:
@@ -112,7 +112,7 @@ def _check(order: Order, options_type: type[CommonOptions], takes: set[str], own
         raise OptionError(f"--seeds: {program} has no seed; expected a command that has one")
     if order.each_effect and not {"effect", "effects"} & takes:
         raise OptionError(f"--each-effect: {program} takes no effects; expected a command that does")
-    if not own and max(len(order.seeds), len(order.each_effect)) > 1:
+    if not own_folder and max(len(order.seeds), len(order.each_effect)) > 1:
         several = "--seeds" if len(order.seeds) > 1 else "--each-effect"
         raise OptionError(
             f"{several}: {program} writes into the folder that it is run on; expected one of them, or a "
@@ -124,7 +124,7 @@ def _check(order: Order, options_type: type[CommonOptions], takes: set[str], own
         if _named(word) in given:
             raise OptionError(f"after --: got {word}, which the batch itself gives; expected other options")
     effects = order.each_effect[0] if order.each_effect else None
-    line = _line(replace(order, plugin=None), takes, _ANY, effects, None, Path(_ANY) if own else None)
+    line = _line(replace(order, plugin=None), takes, _ANY, effects, None, Path(_ANY) if own_folder else None)
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             found = read_options(options_type, program, line)

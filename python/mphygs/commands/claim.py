@@ -39,14 +39,14 @@ PICTURES = "pictures"
 
 
 def claim(
-    folder: Path, *, beside: Sequence[str] = (), alone: str | None = None, plugin: Path | None = None
+    folder: Path, *, inner_runs: Sequence[str] = (), alone: str | None = None, plugin: Path | None = None
 ) -> None:
     """Hold a folder for a run, sure that writing it destroys nothing but an older run's results.
 
     A folder is taken that is new or empty, or that carries this program's mark: a file that says so, an older
     run's document, or that of a command that was broken off. Stages may be there, which may be a user's own,
     and folders that carry the mark themselves.
-    beside: names of folders with a run of their own by which one that was not finished is known as well;
+    inner_runs: names of folders with a run of their own by which one that was not finished is known as well;
     alone: of a file of steps by which it is where nothing else stands there; plugin: the file of effects that
     the new run uses, which stays. Raises OptionError; HeldError where another command writes there.
     """
@@ -55,7 +55,7 @@ def claim(
         found = {i.name for i in folder.iterdir() if i.name != STAGES and not is_marked(i)}
         known = (
             is_marked(folder)
-            or any(_is_run(folder / name / DOCUMENT) for name in (".", *beside))
+            or any(_is_run(folder / name / DOCUMENT) for name in (".", *inner_runs))
             or not found
             or (found == {alone} and is_own_file(folder / alone))
         )
@@ -103,14 +103,15 @@ def folder_inside(run: Path, name: str) -> Path:
     return folder
 
 
-def clear(folder: Path, more: Sequence[str] = (), *, plugin: str | Path | None = None) -> None:
+def clear(folder: Path, extra_files: Sequence[str] = (), *, plugin: str | Path | None = None) -> None:
     """Take away what was found with the run before, which is not true of the one that is written now.
 
-    plugin: the file of effects that the new run uses, which stays wherever it is.
+    extra_files: in it, that are taken away as well; plugin: the file of effects that the new run uses, which
+    stays wherever it is.
     """
     for drawn in _drawn(folder):
         drawn.unlink(missing_ok=True)
-    for name in (*STALE, *more):
+    for name in (*STALE, *extra_files):
         if plugin is None or not same_file(folder / name, plugin):
             (folder / name).unlink(missing_ok=True)
 

@@ -29,7 +29,8 @@ from mphygs.diagnose.next_motion import Proposed
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import path_rows, path_text, table_text
-from mphygs.extend.discovery import Discovery, discover_effects
+from mphygs.extend.conclusion import Discovery
+from mphygs.extend.discovery import discover_effects
 from mphygs.extend.loop_record import (
     LoopRecord,
     read_record,
@@ -44,7 +45,7 @@ from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import load_run
-from mphygs.fit.schedule import default_spacing, screening_spacing
+from mphygs.fit.spacings import default_spacing, screening_spacing
 from mphygs.fit.tables import parameters_of
 from mphygs.model.registry import effects
 from mphygs.simulate.settings import check_effects

@@ -21,7 +21,8 @@ from mphygs.commands.console import Console
 from mphygs.commands.diagnose import DOCUMENT as DIAGNOSIS
 from mphygs.commands.diagnose import diagnosis_document, drift_entries, known_effects, ranking_entries
 from mphygs.commands.extend import DOCUMENT
-from mphygs.commands.fit import RUNS, fitted
+from mphygs.commands.fit import fitted
+from mphygs.commands.fit_begun import RUNS
 from mphygs.commands.fit_options import FitOptions, check_options
 from mphygs.commands.image_stages import has_stages, run_stages
 from mphygs.commands.options import CommonOptions, OptionError
@@ -33,7 +34,8 @@ from mphygs.diagnose.missing_force_document import (
 )
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import path_rows, path_text, table_text
-from mphygs.extend.discovery import Discovery, discover_effects
+from mphygs.extend.conclusion import Discovery
+from mphygs.extend.discovery import discover_effects
 from mphygs.extend.first_window import passed_on_the_way
 from mphygs.extend.loop_record import LoopRecord, read_record, recorded_left_out, write_record
 from mphygs.extend.step import FAULT, Step
@@ -43,7 +45,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import assembled
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import check_effects
 
@@ -98,7 +100,7 @@ def discover_command(options: DiscoverOptions, console: Console) -> Answer:
     candidates = known_effects(options.effects)
     check_effects(options.transfer, candidates or ())
     if not options.resume:
-        claim(out, beside=(FIRST,), plugin=options.plugin)
+        claim(out, inner_runs=(FIRST,), plugin=options.plugin)
     given = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "effects"}
     seen = load_capture(options.capture) if options.capture is not None else None
     if not options.resume:
@@ -158,7 +160,7 @@ def discover_command(options: DiscoverOptions, console: Console) -> Answer:
     for k, step in enumerate(found.steps):
         if step.spacing != done.states[k]["spacing"] or k == len(found.steps) - 1:
             done.tell(step, experiment, k)
-    answer = _conclude(out, options, state, experiment, found, done, console)
+    answer = conclude(out, options, state, experiment, found, done, console)
     _keep(out, done, experiment, options, answer)
     return Answer(answer, _text(answer, state.capture))
 
@@ -213,7 +215,7 @@ def _keep(
     write_record(out / DOCUMENT, plain(document | dict(answer or {})))
 
 
-def _conclude(
+def conclude(
     out: Path,
     options: DiscoverOptions,
     state: Run,

@@ -24,7 +24,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.identifiable import Expected, Identifiable, expected_document
 from mphygs.fit.marker_label_repair import well_labelled
 from mphygs.fit.placement import with_placed_effect
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.fit.tables import text_table
 from mphygs.model.registry import effects

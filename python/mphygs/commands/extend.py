@@ -95,7 +95,7 @@ def extend_command(options: ExtendOptions, console: Console) -> Answer:
             experiment, steps[-1], name, spacing, generator=generator, report=console.say
         )
         steps.append(step)
-        done.tell(step, experiment, more={"pays": paying})
+        done.tell(step, experiment, extra={"pays": paying})
         if not number:
             # Only now: nothing that is at fault may take an older run's results away.
             out.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,8 @@ from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.images import write_image
 from mphygs.capture.layouts import read_points
 from mphygs.capture.stages import Stage, StageFolder
-from mphygs.capture.views import Photograph, RestViews, rest_views_of, sequence_views_of
+from mphygs.capture.view_folders import rest_views_of, sequence_views_of
+from mphygs.capture.views import Photograph, RestViews
 from mphygs.commands.claim import claim
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console

@@ -18,7 +18,8 @@ from mphygs.capture.images import write_image
 from mphygs.capture.mask_groups import MaskGrouper, Superpixels
 from mphygs.capture.mask_groups_sam import SamGroups
 from mphygs.capture.stages import Stage, StageFolder
-from mphygs.capture.views import Photograph, rest_views_of
+from mphygs.capture.view_folders import rest_views_of
+from mphygs.capture.views import Photograph
 from mphygs.commands.claim import claim
 from mphygs.commands.command import Answer, run
 from mphygs.commands.console import Console

@@ -9,9 +9,10 @@ from typing import TypeVar
 import numpy as np
 from scipy.stats import chi2
 
-from mphygs.compare.allowance import Allowance, modulated_directions
+from mphygs.compare.allowance import Allowance
 from mphygs.compare.blocks import part_time_blocks
 from mphygs.compare.compared import Compared, Whitened, whiten_all
+from mphygs.compare.grid_share import discretisation_allowance, error_budget, grid_share
 from mphygs.compare.verdict_floor import Floor, above, floor_test
 
 # Two bodies discretised differently agree to a few tenths of a standard deviation at best: a misfit of
@@ -22,15 +23,10 @@ LARGEST_EXCUSED = 1.5 * PRACTICAL_FLOOR
 # Where a refinement has shown the discretisation's share: what it does not cover is, in every range, no more
 # than this many sigma, noise included, and the misfit no more than the second number.
 BUDGET_FLOOR, LARGEST_GRID_ERROR = 1.15, 5.0
-# How far a coordinate that the fitted frames leave open gives way to the discretisation's error: a factor e.
-GIVES_WAY = 1.0
 # Of the test of the floor.
 LEVEL = 0.01
 # Order in the spacing of the least that a grid's error falls by, near enough.
 FIRST_ORDER = 1
-# Cosines over time by which the discretisation's error may differ from the change under refinement.
-MODULATIONS = 6
-
 T = TypeVar("T")
 
 
@@ -110,27 +106,10 @@ def _of_ranges(whitened: Whitened, of: Callable[[np.ndarray], T]) -> dict[str, d
         mine = whitened.sequence == number
         out[name] = {
             label: of(whitened.residual[mine & rows])
-            for label, rows in (("fit", whitened.seen), ("predict", ~whitened.seen))
+            for label, rows in (("fit", whitened.fitted), ("predict", ~whitened.fitted))
             if (mine & rows).any()
         }
     return out
-
-
-def discretisation_allowance(whitened: Whitened) -> Allowance:
-    """Nuisance directions with the size of the change under refinement, per sequence and part."""
-    if not np.any(whitened.refinement):
-        return Allowance()
-    columns = []
-    for number in range(len(whitened.names)):
-        mine = whitened.sequence == number
-        block = modulated_directions(
-            whitened.refinement[mine], whitened.part[mine], whitened.frame[mine], count=MODULATIONS
-        )
-        full = np.zeros((len(mine), block.shape[1]))
-        full[mine] = block
-        columns.append(full)
-    directions = np.concatenate(columns, axis=1)
-    return Allowance(directions=directions[:, np.linalg.norm(directions, axis=0) > 1e-9])
 
 
 def assess(
@@ -168,8 +147,8 @@ def assess(
     )
     found = ratios(whitened)
     worst = max(v for ranges in found.values() for v in ranges.values())
-    share = _grid_share(whitened) if excusable else np.zeros_like(whitened.residual)
-    budget = _budget(whitened, share)
+    share = grid_share(whitened) if excusable else np.zeros_like(whitened.residual)
+    budget = error_budget(whitened, share)
     # Whatever the discretisation's error hides cannot be told from it; what exceeds it is physics. In every
     # range: fitted frames may not pay for what unseen ones show.
     beyond = [(whitened.residual[rows] ** 2 - share[rows] ** 2) for rows in _ranges(whitened)]
@@ -267,51 +246,5 @@ def _ranges(whitened: Whitened) -> list[np.ndarray]:
     found = []
     for number in range(len(whitened.names)):
         mine = whitened.sequence == number
-        found += [rows for rows in (mine & whitened.seen, mine & ~whitened.seen) if rows.any()]
+        found += [rows for rows in (mine & whitened.fitted, mine & ~whitened.fitted) if rows.any()]
     return found
-
-
-def _grid_share(whitened: Whitened) -> np.ndarray:
-    """(N,) the change under refinement less what refitting absorbs: a fit to the fitted frames, which carries
-    what it made of them on to the unseen ones."""
-    share, count = whitened.refinement, whitened.jacobian.shape[1]
-    if not np.any(share) or not count or not whitened.seen.any():
-        return share
-    return share - whitened.jacobian @ _shift(whitened, np.eye(count) / GIVES_WAY**2)
-
-
-def _shift(whitened: Whitened, prior: np.ndarray) -> np.ndarray:
-    """(P,) how far a fit to the fitted frames moves its coordinates for what a refinement changes there.
-
-    prior: (P, P) inverse covariance of the coordinates before anything was measured.
-    """
-    jacobian = whitened.jacobian[whitened.seen]
-    inverse = np.linalg.pinv(jacobian.T @ jacobian + prior, rcond=1e-14, hermitian=True)
-    return inverse @ (jacobian.T @ whitened.refinement[whitened.seen])
-
-
-def grid_shift(compared: Mapping[str, Compared], prior: np.ndarray) -> np.ndarray | None:
-    """(P,) how far the grid's error moves the fitted coordinates; None where no refinement is known.
-
-    prior: (P, P) inverse covariance of the coordinates before anything was measured. The error of the fitted
-    frames is taken for what a refinement changes, extrapolated; what would fit it is found by the tangents of
-    the comparison alone, which may be of another grid than those of the fit.
-    """
-    whitened = whiten_all(compared)
-    if not np.any(whitened.refinement) or whitened.jacobian.shape[1] != len(prior):
-        return None
-    return _shift(whitened, prior)
-
-
-def _budget(whitened: Whitened, share: np.ndarray) -> dict[str, float]:
-    """Root mean squares over markers of the three shares [m]: they add in squares to the markers' misfit.
-
-    What neither the discretisation's share, (N,), nor noise covers is physics.
-    """
-    markers = whitened.part >= 0
-    variance = whitened.sigma[markers] ** 2
-    noise = float(np.mean(variance))
-    beyond = max(float(np.mean(variance * whitened.residual[markers] ** 2)) - noise, 0.0)
-    discretisation = min(float(np.mean(variance * share[markers] ** 2)), beyond)
-    shares = {"noise": noise, "discretisation": discretisation, "physics": beyond - discretisation}
-    return {name: float(np.sqrt(3.0 * value)) for name, value in shares.items()}

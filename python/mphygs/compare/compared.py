@@ -44,7 +44,7 @@ class Compared:
 class Whitened:
     """All compared rows, the markers of one sequence after the other and then its instruments.
 
-    seen: rows of frames that were fitted; part: of the marker, of an instrument -1 less its number; sigma:
+    fitted: rows of frames that were fitted; part: of the marker, of an instrument -1 less its number; sigma:
     (N,) of the noise of each row's sequence and frame [m], NaN where it is of another unit.
     """
 
@@ -54,7 +54,7 @@ class Whitened:
     part: np.ndarray
     frame: np.ndarray
     sequence: np.ndarray
-    seen: np.ndarray
+    fitted: np.ndarray
     sigma: np.ndarray
     names: tuple[str, ...]
 
@@ -73,8 +73,8 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
         jacobian = whitener.whiten(item.jacobian[window])
         refinement = np.zeros_like(item.predicted) if item.refinement is None else item.refinement
         frame = whitener.frame + first
-        seen = (frame >= item.fit[0]) & (frame < item.fit[1])
-        used = seen | ((frame >= item.predict[0]) & (frame < item.predict[1]))
+        fitted = (frame >= item.fit[0]) & (frame < item.fit[1])
+        used = fitted | ((frame >= item.predict[0]) & (frame < item.predict[1]))
         parts.append(
             (
                 rows[used],
@@ -83,7 +83,7 @@ def whiten_all(compared: Mapping[str, Compared]) -> Whitened:
                 item.part[whitener.marker][used],
                 frame[used],
                 np.full(int(used.sum()), number),
-                seen[used],
+                fitted[used],
                 item.observation.sigma * item.observation.frames_of_noise[frame[used]],
             )
         )
@@ -97,8 +97,8 @@ def _sensor_rows(item: Compared, k: int, number: int) -> tuple:
     own, (first, last) = item.sensors[k], item.frames
     whitener = own.sensed.whitener(first, last)
     frame = whitener.frame + first
-    seen = (frame >= item.fit[0]) & (frame < item.fit[1])
-    used = seen | ((frame >= item.predict[0]) & (frame < item.predict[1]))
+    fitted = (frame >= item.fit[0]) & (frame < item.fit[1])
+    used = fitted | ((frame >= item.predict[0]) & (frame < item.predict[1]))
     moved = np.zeros_like(own.predicted) if own.refinement is None else own.refinement
     count = int(used.sum())
     return (
@@ -108,6 +108,6 @@ def _sensor_rows(item: Compared, k: int, number: int) -> tuple:
         np.full(count, -1 - k),
         frame[used],
         np.full(count, number),
-        seen[used],
+        fitted[used],
         np.full(count, np.nan),
     )

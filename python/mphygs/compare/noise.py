@@ -30,7 +30,7 @@ class Observation:
     """position: (T, M, 3) [m], NaN where missing; noise: of one coordinate.
 
     weight: (M,) 1 for markers in use, 0 for markers left out as outliers; stated: sigma of the capture [m];
-    seen: what the tracks show of it, where that is used; sensors: what other instruments measured;
+    seen_sigma: what the tracks show of it, where that is used; sensors: what other instruments measured;
     course: (T,) what the noise is multiplied by, frame by frame, of root mean square 1, None where it is the
     same in all.
     """
@@ -39,7 +39,7 @@ class Observation:
     noise: NoiseModel
     weight: np.ndarray
     stated: float | None = None
-    seen: SeenSigma | None = None
+    seen_sigma: SeenSigma | None = None
     sensors: tuple[SensorObservation, ...] = ()
     course: np.ndarray | None = None
     _whiteners: dict = field(default_factory=dict, init=False, repr=False)
@@ -70,7 +70,8 @@ class Observation:
     @property
     def denied(self) -> bool:
         """Whether the tracks show another sigma than was stated."""
-        return self.seen is not None and self.stated is not None and self.seen.differs(self.stated)
+        known = self.seen_sigma is not None and self.stated is not None
+        return known and self.seen_sigma.differs(self.stated)
 
     def without(self, markers: np.ndarray) -> Observation:
         """The same measurement with (M,) bool markers left out."""
@@ -170,15 +171,15 @@ def noise_document(observations: Mapping[str, Observation]) -> dict[str, dict[st
     do not tell), and as used [m], and where that comes from; lowest and highest: of any frame [m]."""
     return {
         name: {
-            "stated": seen.stated,
-            "seen": None if seen.seen is None else seen.seen.value,
-            "used": seen.sigma,
-            "differs": seen.denied,
-            "lowest": seen.sigma * float(seen.frames_of_noise.min()),
-            "highest": seen.sigma * float(seen.frames_of_noise.max()),
-            "source": seen.noise.source,
+            "stated": observation.stated,
+            "seen": None if observation.seen_sigma is None else observation.seen_sigma.value,
+            "used": observation.sigma,
+            "differs": observation.denied,
+            "lowest": observation.sigma * float(observation.frames_of_noise.min()),
+            "highest": observation.sigma * float(observation.frames_of_noise.max()),
+            "source": observation.noise.source,
         }
-        for name, seen in observations.items()
+        for name, observation in observations.items()
     }
 
 

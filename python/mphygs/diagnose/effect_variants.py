@@ -185,7 +185,7 @@ def vector_values(parameters: Sequence[ParameterSpec], x: np.ndarray) -> Values:
     return {p.name: float(v) for p, v in zip(parameters, x, strict=True)}
 
 
-def _axes(body: Body, _own: Sequence[ParameterSpec]) -> Iterator[tuple[str, np.ndarray, float]]:
+def _axes(body: Body, _parameters: Sequence[ParameterSpec]) -> Iterator[tuple[str, np.ndarray, float]]:
     for k, a in enumerate("xyz"):
         yield f" along {a}", np.eye(3)[k], 1.0
     q = body.quadrature
@@ -194,12 +194,12 @@ def _axes(body: Body, _own: Sequence[ParameterSpec]) -> Iterator[tuple[str, np.n
         yield " along the principal axis", main, 1.0
 
 
-def _flows(_body: Body, own: Sequence[ParameterSpec]) -> Iterator[tuple[str, np.ndarray, float]]:
+def _flows(_body: Body, parameters: Sequence[ParameterSpec]) -> Iterator[tuple[str, np.ndarray, float]]:
     """Flows along the axes, either way. Where a flow is nothing a drag has no derivative by it: a light drag
     in a fast flow stands for it."""
     for k, a in enumerate("xyz"):
         for sign in (1.0, -1.0):
-            yield f" towards {'+' if sign > 0.0 else '-'}{a}", sign * np.eye(3)[k], own[k].range[1]
+            yield f" towards {'+' if sign > 0.0 else '-'}{a}", sign * np.eye(3)[k], parameters[k].range[1]
 
 
 def flow_variant(belief: Belief, spec: EffectSpec, direction: np.ndarray, settings: dict) -> EffectVariant:

@@ -79,8 +79,8 @@ class PointMotion:
     @classmethod
     def of(cls, found: SequenceForce) -> PointMotion:
         """The motion that a missing force has led to."""
-        predictor, motion = found.seen.forced.predictor, found.motion
-        body, model = predictor.body, found.seen.forced.model(motion.belief)
+        predictor, motion = found.seen_force.forced.predictor, found.motion
+        body, model = predictor.body, found.seen_force.forced.model(motion.belief)
         q = body.quadrature
         node, weight, slope = model.weights(q.points.reshape(-1, 3), body.point_cell)
         frames = len(motion.timeline.frames)

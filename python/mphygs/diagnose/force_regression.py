@@ -73,10 +73,10 @@ def formula_of(
     if len(features) > FINALISTS:
         features = _screened(missing, motions, features)
     # Along the motion that is nearly the measured one, once and for all.
-    own = {n: np.stack([f.forces(motion) for f in features]) for n, motion in motions.items()}
+    feature_forces = {n: np.stack([f.forces(motion) for f in features]) for n, motion in motions.items()}
     base = Base(missing.belief, missing.found)
     for number in range(ROUNDS):
-        linear = _linearised(base, own)
+        linear = _linearised(base, feature_forces)
         regression = linear.regression()
         whole = np.ones(len(regression.rows))
         chosen = regression.chosen(whole)
@@ -85,19 +85,20 @@ def formula_of(
         coefficients, shift, share = regression.fit(chosen, whole)
         terms = [f"{c:.3g} {features[k].expression}" for k, c in zip(chosen, coefficients, strict=True)]
         say(f"formula, round {number + 1}: {', '.join(terms)} for {share:.1%} of the misfit")
-        theirs = {n: o[list(chosen)] for n, o in own.items()}
+        theirs = {n: o[list(chosen)] for n, o in feature_forces.items()}
         moved = _refitted(problem, base, theirs, linear.of(chosen), coefficients, shift)
         if moved is None:
             break
         base = moved
         kept = sorted(regression.best(KEPT))
-        features, own = [features[k] for k in kept], {n: o[kept] for n, o in own.items()}
+        features = [features[k] for k in kept]
+        feature_forces = {n: o[kept] for n, o in feature_forces.items()}
         rows = sum(len(f.residual) for f in base.found.values())
         say(f"formula, round {number + 1}: {np.sqrt(base.chi_square / rows):.3f} sigma in place of the force")
     expressions, units = [f.expression for f in features], [f.unit for f in features]
     # Of forces that are not told apart, the one that can be added to the model.
     simple = [KINDS[f.kind].code is not None for f in features]
-    regression = _linearised(base, own).regression()
+    regression = _linearised(base, feature_forces).regression()
     formula = find_formula(regression, expressions, units, simple, generator=generator)
     return Explained(formula, tuple(features[t.index] for t in formula.terms))
 
@@ -121,25 +122,27 @@ class _Linear:
         return replace(self, features=self.features[:, list(chosen)])
 
 
-def _linearised(base: Base, own: Mapping[str, np.ndarray]) -> _Linear:
+def _linearised(base: Base, feature_forces: Mapping[str, np.ndarray]) -> _Linear:
     keys = [p.key for p in base.belief.free]
     data, columns, parameters, blocks = [], [], [], []
     for number, (name, found) in enumerate(base.found.items()):
-        seen, count = found.seen, len(own[name])
-        change = seen.whitened(seen.forced.tangents(found.motion, [found.motion.force, *own[name]], keys))
+        seen_force, count = found.seen_force, len(feature_forces[name])
+        change = seen_force.whitened(
+            seen_force.forced.tangents(found.motion, [found.motion.force, *feature_forces[name]], keys)
+        )
         data.append(found.residual + change[:, 0])
         columns.append(change[:, 1 : 1 + count])
         parameters.append(change[:, 1 + count :])
-        blocks.append(1000 * number + seen.whitener.frame // BLOCK_FRAMES)
+        blocks.append(1000 * number + seen_force.whitener.frame // BLOCK_FRAMES)
     return _Linear(*(np.concatenate(x) for x in (data, columns, parameters, blocks)))
 
 
-def _at(base: Base, belief: Belief, own: Mapping[str, np.ndarray], numbers: np.ndarray) -> Base:
-    """The runs with the forces own (K, T, N, 3) times numbers (K,). Raises SimulationError."""
+def _at(base: Base, belief: Belief, feature_forces: Mapping[str, np.ndarray], numbers: np.ndarray) -> Base:
+    """The runs with the forces of features, (K, T, N, 3) each, times numbers (K,). Raises SimulationError."""
     found = {}
     for name, old in base.found.items():
-        motion = old.seen.forced.run(belief, np.tensordot(numbers, own[name], axes=1))
-        residual = old.seen.whitened(motion.position, measured=True)
+        motion = old.seen_force.forced.run(belief, np.tensordot(numbers, feature_forces[name], axes=1))
+        residual = old.seen_force.whitened(motion.position, measured=True)
         found[name] = replace(old, motion=motion, residual=residual)
     return Base(belief, found)
 
@@ -147,7 +150,7 @@ def _at(base: Base, belief: Belief, own: Mapping[str, np.ndarray], numbers: np.n
 def _refitted(
     problem: Problem,
     base: Base,
-    own: Mapping[str, np.ndarray],
+    feature_forces: Mapping[str, np.ndarray],
     linear: _Linear,
     numbers: np.ndarray,
     shift: np.ndarray,
@@ -168,7 +171,7 @@ def _refitted(
 
     def attempt(belief: Belief, trial_numbers: np.ndarray) -> Base | None:
         try:
-            return _at(base, belief, own, trial_numbers)
+            return _at(base, belief, feature_forces, trial_numbers)
         except SimulationError:
             return None
 
@@ -189,7 +192,7 @@ def _refitted(
             if fresh:
                 damping, failed = 10.0 * damping, failed + 1
             elif anew < ANEW:
-                slopes, fresh, anew = _slopes(now, own), True, anew + 1
+                slopes, fresh, anew = _slopes(now, feature_forces), True, anew + 1
             if not fresh or failed == 4:
                 break
             continue
@@ -207,11 +210,14 @@ def _secant(slopes: np.ndarray, before: np.ndarray, after: np.ndarray, step: np.
     return -secant(-slopes, before, after, step, (slopes**2).sum(0))
 
 
-def _slopes(now: Base, own: Mapping[str, np.ndarray]) -> np.ndarray:
+def _slopes(now: Base, feature_forces: Mapping[str, np.ndarray]) -> np.ndarray:
     """(N, K + P) whitened change of the markers by coefficients and parameters, all sequences."""
     keys = [p.key for p in now.belief.free]
     return np.concatenate(
-        [f.seen.whitened(f.seen.forced.tangents(f.motion, list(own[n]), keys)) for n, f in now.found.items()]
+        [
+            f.seen_force.whitened(f.seen_force.forced.tangents(f.motion, list(feature_forces[n]), keys))
+            for n, f in now.found.items()
+        ]
     )
 
 
@@ -226,8 +232,8 @@ def _normal(problem: Problem, now: Base, slopes: np.ndarray) -> tuple[np.ndarray
 
 def mean_course(found: SequenceForce) -> np.ndarray:
     """(T, 3) [N/kg] mean force over the mass, at the frames in use."""
-    basis = found.seen.basis
-    course = basis.over_time(found.values)[: found.seen.last]
+    basis = found.seen_force.basis
+    course = basis.over_time(found.values)[: found.seen_force.last]
     return np.einsum("c,tcd->td", basis.mass / basis.mass.sum(), course)
 
 
@@ -237,7 +243,7 @@ def _screened(
     """The features that come first when all are added one by one, by the cheap map of the natural modes."""
     gram, right = 0.0, 0.0
     for name, found in missing.found.items():
-        channels = Channels.of(found.seen, missing.belief)
+        channels = Channels.of(found.seen_force, missing.belief)
         forces = np.stack([f.forces(motions[name]) for f in features] + [found.motion.force], axis=-1)
         moved = channels.of_node_forces(found.motion, forces)
         gram = gram + moved[:, :-1].T @ moved[:, :-1]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mphygs.compare.allowance import Allowance, modulated_directions
-from mphygs.compare.assess import MODULATIONS
+from mphygs.compare.grid_share import MODULATIONS
 from mphygs.compare.sensor_residuals import SensorObservation, sensor_blocks
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation

@@ -46,29 +46,29 @@ def _along(variants: Sequence[EffectVariant], wanted: Sequence[EffectVariant]) -
 def flow_between(
     belief: Belief,
     spec: EffectSpec,
-    own: Sequence[EffectVariant],
+    variants: Sequence[EffectVariant],
     amounts: np.ndarray,
 ) -> EffectVariant | None:
     """One more variant of what acts in a flow: in the direction of the steady drag that flows along the axes
     explain together. Light drags in several flows move a body that is slow beside them as their sum does.
     None where one axis does as well."""
-    flows = np.array([[variant.values[p.name] for p in spec.of_role("flow")] for variant in own])
+    flows = np.array([[variant.values[p.name] for p in spec.of_role("flow")] for variant in variants])
     flow = amounts @ flows
     length = float(np.linalg.norm(flow))
     if length == 0.0 or (flows @ flow / length / np.linalg.norm(flows, axis=1)).max() > SAME_DIRECTION:
         return None  # opposite ones may leave a flow along an axis, which was tried
-    return flow_variant(belief, spec, flow / length, own[0].settings)
+    return flow_variant(belief, spec, flow / length, variants[0].settings)
 
 
 def placed_between(
-    belief: Belief, body: Body, spec: EffectSpec, own: Sequence[EffectVariant], amounts: np.ndarray
+    belief: Belief, body: Body, spec: EffectSpec, variants: Sequence[EffectVariant], amounts: np.ndarray
 ) -> EffectVariant | None:
     """One more variant of what acts at a place: at the centre of those that explain most together.
 
     Small masses at several places move a body, to first order in them and but for their spin, as their sum at
     their centre does. None where a single place does as well.
     """
-    places = np.array([variant.settings["place"] for variant in own], float)
+    places = np.array([variant.settings["place"] for variant in variants], float)
     centre = amounts @ places / amounts.sum()
     points = body.quadrature.points[: body.free_block_count].reshape(-1, 3)
     away = np.linalg.norm(points - centre, axis=1)
@@ -77,7 +77,7 @@ def placed_between(
     place = centre if away.min() < 0.5 * cell else points[away.argmin()]
     if np.linalg.norm(places - place, axis=1).min() < SAME_PLACE * cell:
         return None
-    rest = {k: v for k, v in own[0].settings.items() if k != "place"}
+    rest = {k: v for k, v in variants[0].settings.items() if k != "place"}
     # One digit more than the labels of the places tried: it may round to one of them.
     return placed_variant(belief, spec, place, place_digits(body) + 1, rest)
 

@@ -14,14 +14,24 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from mphygs.diagnose.missing_force_model import Channels, SeenForce, curvature
+from mphygs.diagnose.missing_force_model import Channels, SeenForce
+from mphygs.diagnose.missing_force_step import (
+    STRONGEST,
+    State,
+    flat_values,
+    gradient_of,
+    learn,
+    matrix_of,
+    penalised_cost,
+    penalised_step,
+    state_at,
+    stepped,
+)
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.forced_motion import ForcedMotion, ForcedSequence
-from mphygs.simulate.scope import acts_in_simulation
 
 # Above this misfit [sigma] the motion is followed in stages, over these shares of the frames.
 FAR = 3.0
@@ -32,17 +42,15 @@ BOLDEST = 10.0
 # chi^2 within the first of these factors of N is good enough, beyond the second it is far. Of what is beyond
 # noise within the third a step has to take this share for another one.
 NEAR, STRAY, CLOSE, TAKES = 1.05, 1.3, 1.7, 0.3
-LARGEST_LOG_STEP = 0.7
 # Levenberg's factor on the parameters, to begin with; they are held back more where a step fails.
 DAMPING = 0.3
-WEAKEST, STRONGEST = 1e-6, 1e8
 
 
 @dataclass(frozen=True, eq=False)
 class SequenceForce:
     """The missing force of one sequence. values: (H, C, 3) [N/kg]; motion: with it."""
 
-    seen: SeenForce
+    seen_force: SeenForce
     values: np.ndarray
     motion: ForcedMotion
     residual: np.ndarray
@@ -64,20 +72,6 @@ class MissingForce:
         """Share of the misfit beyond noise that the force takes away."""
         excess = max(self.before - self.rows, 1e-12)
         return float(np.clip((self.before - self.after) / excess, 0.0, 1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    belief: Belief
-    values: dict[str, np.ndarray]
-    motions: dict[str, ForcedMotion]
-    residuals: dict[str, np.ndarray]
-    prior: np.ndarray
-    prior_slope: np.ndarray
-
-    @property
-    def chi_square(self) -> float:
-        return sum(float(r @ r) for r in self.residuals.values())
 
 
 def missing_force(
@@ -103,21 +97,24 @@ def missing_force(
     }
     if not whole:
         raise SimulationError("no fitted frame moves: a force shows in none")
-    values = {name: np.zeros(seen.basis.shape) for name, seen in whole.items()}
-    state = _state(problem, whole, belief, values)
+    values = {name: np.zeros(force.basis.shape) for name, force in whole.items()}
+    state = state_at(problem, whole, belief, values)
     before, rows = state.chi_square, sum(len(r) for r in state.residuals.values())
     stages = _stages(problem, whole, begin, values) if before > FAR**2 * rows else STAGES[-1:]
     if len(stages) > 1:
         state = replace(state, belief=begin)
     channels_at, strength = state.belief, STRONGEST
     for share in stages:
-        narrow, seen = _narrowed(problem, whole, share)
-        channels = {name: Channels.of(s, channels_at) for name, s in seen.items()}
-        state = _state(problem, seen, state.belief, state.values)
+        narrow, seen_forces = _narrowed(problem, whole, share)
+        channels = {name: Channels.of(s, channels_at) for name, s in seen_forces.items()}
+        state = state_at(problem, seen_forces, state.belief, state.values)
         count = iterations if share == stages[-1] else min(iterations, STAGE_ITERATIONS)
         state, strength = _descend(narrow, channels, state, count, share, say)
         channels_at = state.belief
-    found = {n: SequenceForce(seen[n], state.values[n], state.motions[n], state.residuals[n]) for n in seen}
+    found = {
+        n: SequenceForce(seen_forces[n], state.values[n], state.motions[n], state.residuals[n])
+        for n in seen_forces
+    }
     return MissingForce(state.belief, found, before, state.chi_square, rows, strength)
 
 
@@ -135,9 +132,9 @@ def _stages(
     """Shares of the frames in which a motion is followed: from the most on which it is not far off."""
     first = 0
     for k, share in enumerate(STAGES[:-1]):
-        narrow, seen = _narrowed(problem, whole, share)
+        narrow, seen_forces = _narrowed(problem, whole, share)
         try:
-            state = _state(narrow, seen, belief, values)
+            state = state_at(narrow, seen_forces, belief, values)
         except SimulationError:
             break
         if state.chi_square > FAR**2 * sum(len(r) for r in state.residuals.values()):
@@ -146,47 +143,38 @@ def _stages(
     return STAGES[first:]
 
 
-def _state(
-    problem: Problem, seen: Mapping[str, SeenForce], belief: Belief, values: dict[str, np.ndarray]
-) -> _State:
-    runs = {name: s.run(belief, values[name]) for name, s in seen.items()}
-    prior = problem.prior_rows(belief)
-    return _State(
-        belief, values, {n: m for n, (m, _) in runs.items()}, {n: r for n, (_, r) in runs.items()}, *prior
-    )
-
-
 def _descend(
     problem: Problem,
     channels: Mapping[str, Channels],
-    state: _State,
+    state: State,
     iterations: int,
     share: float,
     say: Callable[[str], None],
-) -> tuple[_State, float]:
+) -> tuple[State, float]:
     """Steps until chi^2 is about N, or no step lowers it."""
-    seen = {name: c.seen for name, c in channels.items()}
+    seen_forces = {name: c.seen_force for name, c in channels.items()}
     rows = sum(len(r) for r in state.residuals.values())
     keys = [p.key for p in state.belief.free]
-    matrix = _matrix(channels, state, keys)
+    matrix = matrix_of(channels, state, keys)
     exact = matrix.exact
     strength, damping = STRONGEST, DAMPING
     before: tuple[np.ndarray, np.ndarray] | None = None
     for iteration in range(iterations):
         now = state.chi_square
-        gradient = _gradient(seen, state, keys, exact)
-        place = _flat(state, state.belief.coordinates)
+        gradient = gradient_of(seen_forces, state, keys, exact)
+        place = flat_values(state, state.belief.coordinates)
         if before is not None:
-            _learn(matrix.whole, place - before[0], gradient - before[1])
+            learn(matrix.whole, place - before[0], gradient - before[1])
         before = (place, gradient)
         target = max(rows, now / BOLDEST)
         taken = None
         for length in (1.0, 0.6, 0.3, 0.1):
             # While the motion is far off, a stronger penalty would only give back what was gained.
             most = strength if now > STRAY * rows else STRONGEST
-            strength, step, promised = _step(matrix, state, gradient, now, target, damping, most)
-            trial = _moved(problem, seen, state, length * step, matrix)
-            if trial is not None and _cost(trial, seen, strength) < _cost(state, seen, strength):
+            strength, step, promised = penalised_step(matrix, state, gradient, now, target, damping, most)
+            trial = stepped(problem, seen_forces, state, length * step, matrix)
+            here = penalised_cost(state, seen_forces, strength)
+            if trial is not None and penalised_cost(trial, seen_forces, strength) < here:
                 taken = trial
                 damping = max(0.3 * damping, 1e-3) if length == 1.0 else damping
                 break
@@ -204,121 +192,3 @@ def _descend(
         if left < CLOSE * rows and left - rows > (1.0 - TAKES) * (now - rows):
             break
     return state, strength
-
-
-@dataclass(frozen=True, eq=False)
-class _Matrix:
-    """whole: approximate J^T J of all unknowns, the coordinates last; penalty: W of all; exact: by sequence,
-    the whitened change by the coordinates; slices: of every sequence's values."""
-
-    whole: np.ndarray
-    penalty: np.ndarray
-    exact: dict[str, np.ndarray]
-    slices: dict[str, slice]
-
-
-def _matrix(channels: Mapping[str, Channels], state: _State, keys: list[str]) -> _Matrix:
-    sizes = {n: state.values[n].size for n in channels}
-    total, count = sum(sizes.values()), len(keys)
-    whole, penalty = np.zeros((total + count,) * 2), np.zeros((total + count,) * 2)
-    exact, slices, at = {}, {}, 0
-    last = slice(total, total + count)
-    for name, channel in channels.items():
-        block, exact[name] = curvature(channel, state.motions[name], keys)
-        mine = slice(at, at + sizes[name])
-        at += sizes[name]
-        slices[name] = mine
-        inner = slice(0, sizes[name])
-        outer = slice(sizes[name], sizes[name] + count)
-        whole[mine, mine] += block[inner, inner]
-        whole[mine, last] += block[inner, outer]
-        whole[last, mine] += block[outer, inner]
-        whole[last, last] += block[outer, outer]
-        penalty[mine, mine] = np.kron(channel.seen.basis.roughness, np.eye(3))
-    return _Matrix(whole, penalty, exact, slices)
-
-
-def _gradient(
-    seen: Mapping[str, SeenForce], state: _State, keys: list[str], exact: Mapping[str, np.ndarray]
-) -> np.ndarray:
-    """Of half of chi^2 by all unknowns: exact, but for parameters that do not act in the simulation."""
-    simulated = [k for k in keys if acts_in_simulation(state.belief[k])]
-    pieces, coordinates = [], np.zeros(len(keys))
-    for name, s in seen.items():
-        by_force, slopes = s.gradient(state.motions[name], state.residuals[name], simulated)
-        pieces.append(by_force.ravel())
-        own = -exact[name].T @ state.residuals[name]
-        for k, slope in zip(simulated, slopes, strict=True):
-            own[keys.index(k)] = slope
-        coordinates += own
-    return np.concatenate([*pieces, coordinates])
-
-
-def _flat(state: _State, coordinates: np.ndarray) -> np.ndarray:
-    """All unknowns' present values, (U + K,)."""
-    return np.concatenate([*(v.ravel() for v in state.values.values()), coordinates])
-
-
-def _learn(whole: np.ndarray, moved: np.ndarray, change: np.ndarray) -> None:
-    """Correct the Hessian by how the exact gradient changed over a step (BFGS)."""
-    seen = whole @ moved
-    expected, actual = float(moved @ seen), float(moved @ change)
-    if actual > 0.05 * expected > 0.0:
-        whole += np.outer(change, change) / actual - np.outer(seen, seen) / expected
-
-
-def _step(
-    matrix: _Matrix,
-    state: _State,
-    gradient: np.ndarray,
-    now: float,
-    target: float,
-    damping: float,
-    most: float,
-) -> tuple[float, np.ndarray, float]:
-    """The strength of the penalty at which the step is expected to reach the target; the step; chi^2 then."""
-    own = state.prior_slope.T @ state.prior_slope
-    pull = state.prior_slope.T @ state.prior
-    count = len(own)
-    base = matrix.whole.copy()
-    corner = base[len(base) - count :, len(base) - count :]
-    corner += own + damping * np.diag(np.diag(corner)) + 1e-9 * np.eye(count)
-    # The coordinates are not paid for.
-    fixed = matrix.penalty @ _flat(state, np.zeros(count))
-    slope = gradient.copy()
-    slope[len(slope) - count :] += pull
-    # Against rounding alone.
-    base[np.diag_indices(len(base))] *= 1.0 + 1e-9
-
-    def solve(strength: float) -> tuple[np.ndarray, float]:
-        step = -cho_solve(cho_factor(base + strength * matrix.penalty), slope + strength * fixed)
-        return step, now + 2.0 * float(gradient @ step) + float(step @ matrix.whole @ step)
-
-    low, high = np.log(WEAKEST), np.log(most)
-    for _ in range(8):
-        middle = 0.5 * (low + high)
-        _, promised = solve(np.exp(middle))
-        low, high = (middle, high) if promised < target else (low, middle)
-    strength = float(np.exp(low))
-    return strength, *solve(strength)
-
-
-def _moved(
-    problem: Problem, seen: Mapping[str, SeenForce], state: _State, step: np.ndarray, matrix: _Matrix
-) -> _State | None:
-    """The state after a step, None where it cannot be simulated."""
-    count = len(state.belief.free)
-    coordinates = step[len(step) - count :].copy()
-    logs = np.array([p.log for p in state.belief.free], bool)
-    if logs.any():
-        coordinates[logs] = np.clip(coordinates[logs], -LARGEST_LOG_STEP, LARGEST_LOG_STEP)
-    values = {n: v + step[matrix.slices[n]].reshape(v.shape) for n, v in state.values.items()}
-    try:
-        return _state(problem, seen, state.belief.at(state.belief.coordinates + coordinates), values)
-    except SimulationError:
-        return None
-
-
-def _cost(state: _State, seen: Mapping[str, SeenForce], strength: float) -> float:
-    square = sum(s.basis.square(state.values[n]) for n, s in seen.items())
-    return 0.5 * (state.chi_square + float(state.prior @ state.prior) + strength * square)

@@ -27,7 +27,7 @@ from mphygs.diagnose.force_regression import Explained, formula_of
 from mphygs.diagnose.missing_force import MissingForce, SequenceForce, missing_force
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import same_file
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import core_inputs
@@ -164,8 +164,8 @@ def keep_missing_force(found: Unexplained | None, folder: Path, plugin: str | Pa
 
 def sample_of(name: str, found: SequenceForce) -> ForceSample:
     """The force of one sequence at its moving frames, per mass as the parameters beside it have it."""
-    seen, motion, basis = found.seen, found.motion, found.seen.basis
-    body = seen.forced.predictor.body
+    seen_force, motion, basis = found.seen_force, found.motion, found.seen_force.basis
+    body = seen_force.forced.predictor.body
     mass = np.bincount(basis.point_cell, core_inputs(motion.belief, body)["mass"].ravel())
     moving = motion.timeline.moving
     force = basis.over_time(found.values)[moving] * (basis.mass / mass)[:, None]

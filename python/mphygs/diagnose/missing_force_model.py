@@ -86,27 +86,27 @@ class Channels:
     k the less of 3 M and m.
     """
 
-    seen: SeenForce
+    seen_force: SeenForce
     modes: Modes
     shown: np.ndarray
     basis: np.ndarray
     mix: np.ndarray
 
     @classmethod
-    def of(cls, seen: SeenForce, belief: Belief) -> Channels:
+    def of(cls, seen_force: SeenForce, belief: Belief) -> Channels:
         """Of the natural modes at a belief."""
-        predictor = seen.forced.predictor
+        predictor = seen_force.forced.predictor
         modes = natural_modes(predictor, belief, MODES)
         carriers = predictor.carriers
         free, node, value = carriers.free, carriers.index, carriers.value
-        observed = seen.observation.observed[seen.first : seen.last, free]
+        observed = seen_force.observation.observed[seen_force.first : seen_force.last, free]
         shown = np.sqrt(observed.mean(0))
         markers = np.einsum("mk,mkcj->mcj", value, modes.shape[node]) * shown[:, None, None]
-        return cls(seen, modes, shown, *np.linalg.qr(markers.reshape(-1, len(modes.squared))))
+        return cls(seen_force, modes, shown, *np.linalg.qr(markers.reshape(-1, len(modes.squared))))
 
     def of_forces(self, motion: ForcedMotion) -> np.ndarray:
         """(N', H C 3) whitened channels by the values of the force."""
-        basis = self.seen.basis
+        basis = self.seen_force.basis
         moving = motion.timeline.moving
         cells = np.einsum("ncj,nk->jkc", self.modes.shape, basis.spread)
         forces = np.einsum("fh,jkc->fjhkc", basis.hats[moving], cells)
@@ -125,19 +125,19 @@ class Channels:
 
     def of_markers(self, change: np.ndarray) -> np.ndarray:
         """(N', K) whitened channels of a change of the marker positions, (T, M, 3, K)."""
-        free = self.seen.forced.predictor.attachment.hold < 0
+        free = self.seen_force.forced.predictor.attachment.hold < 0
         moved = change[:, free] * self.shown[:, None, None]
         flat = moved.reshape(len(moved), -1, change.shape[-1])
         return self._whitened(np.einsum("am,tak->tmk", self.basis, flat))
 
     def _whitened(self, channels: np.ndarray) -> np.ndarray:
-        window = channels[self.seen.first : self.seen.last]
-        noise = self.seen.observation.noise
+        window = channels[self.seen_force.first : self.seen_force.last]
+        noise = self.seen_force.observation.noise
         typical = replace(
             noise, sigma=np.median(noise.sigma), correlated_share=np.median(noise.correlated_share),
             common_sigma=np.asarray(0.0),
         )  # fmt: skip
-        course = self.seen.observation.frames_of_noise[self.seen.first : self.seen.last]
+        course = self.seen_force.observation.frames_of_noise[self.seen_force.first : self.seen_force.last]
         whitener = Whitener(typical, np.ones(window.shape[:2], bool), 1, course)
         return whitener.whiten(window[:, :, None])
 
@@ -147,10 +147,10 @@ def curvature(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Approximate J^T J by the values and the coordinates of `keys`, (U + K, U + K), and the exact whitened
     change of the markers by the coordinates, (N, K)."""
-    seen = channels.seen
+    seen_force = channels.seen_force
     by_force = channels.of_forces(motion)
-    change = seen.forced.tangents(motion, keys=keys)
-    exact = seen.whitened(change)
+    change = seen_force.forced.tangents(motion, keys=keys)
+    exact = seen_force.whitened(change)
     through = channels.of_markers(change)
     columns = np.hstack([by_force, through])
     matrix = columns.T @ columns

@@ -61,15 +61,15 @@ def _split(power: np.ndarray, first: int, last: int) -> tuple[float, int, tuple[
 
 
 def pulse_variants(
-    belief: Belief, spec: EffectSpec, seen: Sequence[float], period: float
+    belief: Belief, spec: EffectSpec, shown_from: Sequence[float], period: float
 ) -> list[EffectVariant]:
     """Pulses, each half a sine, of a few widths.
 
-    seen: when their misfits begin to show [s]; period: of the swing that they leave [s].
+    shown_from: when their misfits begin to show [s]; period: of the swing that they leave [s].
     """
     (frequency,), (phase,), (pulse,) = (spec.of_role(r) for r in ("frequency", "phase", "switch"))
     variants: dict[str, EffectVariant] = {}  # two that would begin before the recording are one
-    for time in seen:
+    for time in shown_from:
         for share in PULSE_WIDTHS:
             width = share * period
             begin = max(time - SEEN_AT * width, 0.0)

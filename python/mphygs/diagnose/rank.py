@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.compare.allowance import Allowance
-from mphygs.diagnose.decoys import DecoyCheck, check_decoys, decoy_tangents
+from mphygs.diagnose.decoys import DecoyCheck, check_decoys
 from mphygs.diagnose.effect_variants import LATE, EffectVariant, late_variants, smooth_variants
 from mphygs.diagnose.interpolated_places import variants_between
 from mphygs.diagnose.local_scores import Spots
 from mphygs.diagnose.multiplicity import simulate_family
 from mphygs.diagnose.periodic_variants import periodic_variants
 from mphygs.diagnose.power import detectable_strength
-from mphygs.diagnose.ranking import LEVEL, RankedEffect, Ranking, unsimulated
+from mphygs.diagnose.ranking import LEVEL, RankedEffect, Ranking
 from mphygs.diagnose.refit_starts import other_starts, refit_start
 from mphygs.diagnose.score import score_candidates
 from mphygs.diagnose.score_table import Candidate, Score, ScoreTable
+from mphygs.diagnose.stacked_tangents import simulable_variants, stacked_tangents
 from mphygs.diagnose.ties import tied_with
 from mphygs.diagnose.trial_ranking import rank_by_trials
 from mphygs.fit.experiment import Experiment
@@ -28,8 +29,6 @@ from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
-# Effects that do nothing, scored beside the candidates.
-DECOYS = 20
 # Of the fitted frames, the first, in which what came after the shape was taken is to be seen; and a misfit
 # there that is more than noise [sigma].
 EARLY, EARLY_MISFIT = 0.16, 1.25
@@ -38,64 +37,6 @@ EARLY, EARLY_MISFIT = 0.16, 1.25
 TRIAL_WINS = 0.2
 # Of what a late mass promises at the best place: so many next best ones that promise as much are begun from.
 NEARLY_AS_MUCH, ELSEWHERE = 0.8, 4
-
-
-def _stack(
-    experiment: Experiment,
-    problem: Problem,
-    belief: Belief,
-    variants: Sequence[EffectVariant],
-    report: Callable[[str], None] | None,
-    generator: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened Jacobian columns of all variants over the fitted frames, (N, Q), in their order, and of
-    decoys that are as smooth, (N, DECOYS)."""
-    columns = [pair for variant in variants for pair in variant.columns]
-    blocks, decoys, sensors = [], [], []
-    for name, (first, last) in problem.ranges.items():
-        if report:
-            report(f"tangents of {len(columns)} candidate parameters on {name}")
-        prediction = problem.predictors[name].predict(belief, last=last, candidates=columns)
-        whitener = experiment.observations[name].whitener(first, last)
-        # Coordinates are values over scales: back to units of the parameter.
-        slopes = np.array([p.slope for _, p in columns])
-        raw = prediction.jacobian[first:last]
-        blocks.append(whitener.whiten(raw) / slopes)
-        if np.any(raw):
-            decoys.append(whitener.whiten(decoy_tangents(raw, DECOYS, generator=generator)))
-        else:
-            decoys.append(np.zeros((len(blocks[-1]), DECOYS)))
-        for sensor, reading in zip(experiment.observations[name].sensors, prediction.readings, strict=True):
-            sensors.append(sensor.whitener(first, last).whiten(reading.jacobian[first:last]) / slopes)
-    # Decoys move markers alone.
-    decoys += [np.zeros((len(block), DECOYS)) for block in sensors]
-    return np.concatenate([*blocks, *sensors]), np.concatenate(decoys)
-
-
-def _simulable(
-    experiment: Experiment,
-    problem: Problem,
-    belief: Belief,
-    variants: Sequence[EffectVariant],
-    misfit: float,
-    report: Callable[[str], None] | None,
-) -> tuple[list[EffectVariant], list[RankedEffect]]:
-    """The variants of those effects that can be simulated beside the model at their null, and the others,
-    each with the reason. misfit: of the model [sigma]. Raises SimulationError where there is none."""
-    failed: dict[str, SimulationError] = {}
-    for name in dict.fromkeys(variant.effect for variant in variants):
-        own = [variant for variant in variants if variant.effect == name]
-        try:
-            _stack(experiment, problem, belief, own, None, np.random.default_rng(0))
-        except SimulationError as error:
-            failed[name] = error
-            if report:
-                report(f"{name} is left out, for it cannot be simulated: {error}")
-    left = [variant for variant in variants if variant.effect not in failed]
-    if not left and failed:
-        raise next(iter(failed.values()))
-    struck = [unsimulated(name, name, str(error), belief, misfit) for name, error in failed.items()]
-    return left, struck
 
 
 def _off_at_the_start(experiment: Experiment, problem: Problem, evaluation: Evaluation) -> bool:
@@ -150,14 +91,16 @@ def rank(
     # Decoys draw numbers of their own: the rest is the same with and without them.
     draw, struck = generator.spawn(1)[0], []
     try:
-        tangents, fakes = _stack(experiment, problem, belief, variants, report, draw)
+        tangents, fakes = stacked_tangents(experiment, problem, belief, variants, report, draw)
     except SimulationError:
-        variants, struck = _simulable(experiment, problem, belief, variants, evaluation.misfit, report)
-        tangents, fakes = _stack(experiment, problem, belief, variants, report, draw)
+        variants, struck = simulable_variants(
+            experiment, problem, belief, variants, evaluation.misfit, report
+        )
+        tangents, fakes = stacked_tangents(experiment, problem, belief, variants, report, draw)
     tangents = np.vstack([tangents, np.zeros((len(prior), tangents.shape[1]))])
     between = variants_between(belief, body, variants, tangents, full_residual, full_jacobian)
     if between:
-        more, _ = _stack(experiment, problem, belief, between, None, np.random.default_rng(0))
+        more, _ = stacked_tangents(experiment, problem, belief, between, None, np.random.default_rng(0))
         variants = [*variants, *between]
         tangents = np.hstack([tangents, np.vstack([more, np.zeros((len(prior), more.shape[1]))])])
     candidates, at = [], 0

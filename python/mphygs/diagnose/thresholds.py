@@ -57,8 +57,8 @@ def threshold_trials(
         return []
     if not strengths(spec):
         return [(_label(form, scan.levels, values), scan.belief(form, values)) for values in tried]
-    seen = [(scan.seen(form, values), values) for values in tried]
-    promising = [(found, values) for found, values in seen if found is not None and found.drop > 0.0]
+    responses = [(scan.response(form, values), values) for values in tried]
+    promising = [(found, values) for found, values in responses if found is not None and found.drop > 0.0]
     promising.sort(key=lambda item: -item[0].drop)
     return [
         (_label(form, scan.levels, values), scan.belief(form, values | found.strengths(times)))
@@ -92,18 +92,19 @@ class _Form:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Response:
     """What a model with an effect of no strength changes, and its slopes by the strengths.
 
     change: (N,) of the prediction; columns: (N, q) by coordinates; bounds: (2, q) of their steps; residual:
-    (N,) of the model without it; all less what the fitted numbers absorb. own: the strengths in the belief.
+    (N,) of the model without it; all less what the fitted numbers absorb. belief: in which
+    the strengths are free.
     """
 
     residual: np.ndarray
     change: np.ndarray
     columns: np.ndarray
     bounds: np.ndarray
-    own: Belief
+    belief: Belief
 
     @cached_property
     def step(self) -> np.ndarray:
@@ -130,7 +131,7 @@ class _Seen:
 
     def strengths(self, times: float) -> dict[str, float]:
         """Their values, so many steps from nothing."""
-        moved = self.own.at(self.own.coordinates + times * self.step)
+        moved = self.belief.at(self.belief.coordinates + times * self.step)
         return {p.key.rsplit(".", 1)[1]: p.value for p in moved.free}
 
 
@@ -162,8 +163,8 @@ class _Scan:
         if len(every) == 1:
             return every[0]
         everything = {p.name: self._end(p) for p in self.levels}
-        seen = [self.seen(form, everything) for form in every]
-        return every[int(np.argmax([-np.inf if found is None else found.drop for found in seen]))]
+        responses = [self.response(form, everything) for form in every]
+        return every[int(np.argmax([-np.inf if found is None else found.drop for found in responses]))]
 
     def belief(self, form: _Form, values: Mapping[str, float]) -> Belief:
         """The belief with the effect, its levels likely to be about where they are."""
@@ -178,7 +179,7 @@ class _Scan:
             extended = extended.with_parameter(key, free=True, scale=extent(self.predictor.body))
         return extended
 
-    def seen(self, form: _Form, values: Mapping[str, float]) -> _Seen | None:
+    def response(self, form: _Form, values: Mapping[str, float]) -> _Response | None:
         """What the effect does at levels, its strengths at their null; None where it cannot be simulated."""
         extended = self.belief(form, values)
         keys = {f"{self.spec.name}.{name}" for name in strengths(self.spec)}
@@ -191,7 +192,7 @@ class _Scan:
         count = len(self._residual)
         columns = -found.jacobian[:count] if keys else np.zeros((count, 0))
         ends = np.array([[p.at(s * np.inf).coordinate for p in own.free] for s in (-1.0, 1.0)])
-        return _Seen(
+        return _Response(
             *map(self._left, (self._residual, self._residual - found.residual[:count], columns)),
             ends.reshape(2, -1) - own.coordinates,
             own,
@@ -242,7 +243,7 @@ class _Scan:
         others = {q.name: self._end(q) for q in self.levels if q is not p}
 
         def action(value: float) -> float:
-            found = self.seen(form, others | {p.name: value})
+            found = self.response(form, others | {p.name: value})
             return np.inf if found is None else found.action  # it acts, and how
 
         acts, (low, high) = self._end(p), _span(p)

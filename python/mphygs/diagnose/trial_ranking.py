@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mphygs.diagnose.contact_search import walls, with_wall
+from mphygs.diagnose.contact_search import walls
 from mphygs.diagnose.effect_variants import absent_effects, strengths
 from mphygs.diagnose.finite_trials import Trial, trials_of
 from mphygs.diagnose.ranking import RankedEffect, unsimulated
 from mphygs.diagnose.thresholds import onset_levels
 from mphygs.diagnose.trial_scores import TrialScores, score_trials
+from mphygs.diagnose.wall import with_wall
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.side_by_side import side_by_side
@@ -52,9 +53,9 @@ def rank_by_trials(
         else:
             groups[spec.name] = trials_of(spec, experiment.capture, problem, belief, evaluation)
 
-    def tried(own: Experiment, trial: Trial) -> Evaluation | str:
+    def tried(twin: Experiment, trial: Trial) -> Evaluation | str:
         try:
-            return own.window(problem.settings.spacing, share).evaluate(trial.belief, jacobian=False)
+            return twin.window(problem.settings.spacing, share).evaluate(trial.belief, jacobian=False)
         except SimulationError as error:
             return str(error)
 

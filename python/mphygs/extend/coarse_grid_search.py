@@ -50,7 +50,7 @@ def on_coarse_grid(
 
 def _as_it_was(experiment: Experiment, step: Step, spacing: float) -> Step:
     """The step as it was fitted on a coarser grid, where that is the same model and fits better there."""
-    rough, now = step.rough, step.belief
-    if rough is None or [p.key for p in rough.free] != [p.key for p in now.free]:
+    coarse, now = step.coarse_belief, step.belief
+    if coarse is None or [p.key for p in coarse.free] != [p.key for p in now.free]:
         return step
-    return replace(step, belief=best_fitting(experiment.problem(spacing), (now, rough)) or now)
+    return replace(step, belief=best_fitting(experiment.problem(spacing), (now, coarse)) or now)

@@ -2,39 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from mphygs.capture.track_faults.tracks import Finding
 from mphygs.compare.assess import Compared
-from mphygs.compare.roughness import doubted_sigma
 from mphygs.diagnose.outliers import bad_observations
 from mphygs.diagnose.ranking import Ranking
 from mphygs.extend.candidate_table import Row, candidate_rows
 from mphygs.extend.coarse_grid_search import on_coarse_grid
+from mphygs.extend.conclusion import Discovery, conclude
 from mphygs.extend.effect_exchange import with_effects_exchanged
 from mphygs.extend.effect_pruning import with_effects_pruned
-from mphygs.extend.finer_grid import compared_on_grid
-from mphygs.extend.first_window import HALF, passed_on_the_way
-from mphygs.extend.grids import converged_fit, finely, on_required_grid, with_budget
+from mphygs.extend.first_fit import first_fit
+from mphygs.extend.grids import converged_fit, finely, with_budget
 from mphygs.extend.model_selection import best_and_rivals, selected_model, step_of
 from mphygs.extend.nested_models import with_simpler_effects
 from mphygs.extend.reconcile import reconciled
 from mphygs.extend.refits import refits_of
-from mphygs.extend.seen_faults import fault_lines, fault_names, seen_faults
+from mphygs.extend.required_grid import on_required_grid
+from mphygs.extend.seen_faults import seen_faults
 from mphygs.extend.simplest_recordings import compared_on_all, explains, sequences_without_loads
 from mphygs.extend.step import FAULT, Step, excess, known_budget, leaves_most
-from mphygs.extend.steps import bounded, undetermined
+from mphygs.extend.step_uncertainty import bounded, undetermined
 from mphygs.extend.track_readmission import with_tracks_readmitted
 from mphygs.extend.window_ranking import ranked_on_window
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.schedule import FINE, ScheduleStage, deciding_spacing, fit_belief, plan_of, screening_spacing
+from mphygs.fit.spacings import FINE, deciding_spacing, screening_spacing
 from mphygs.model.belief import Belief
-from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
 
 # Effects in a model; steps of the loop, exchanges included. A second one that leaves most of what was left
@@ -43,23 +39,6 @@ LARGEST_MODEL, LONGEST = 3, 8
 # An effect that leaves more than this share of the excess over noise and does not reach the floor is not
 # what is missing: some effect always bends the curve a little.
 TOO_LITTLE = 0.8
-# So much of the noise or less in every range says that the noise is stated too large.
-FAR_LESS = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Discovery:
-    """verdict: adequate, missing, unknown or measurement; effects: concluded, most certain first; table: the
-    candidates of the first round (see `candidate_rows`), empty where there was none."""
-
-    verdict: str
-    effects: tuple[str, ...]
-    steps: tuple[Step, ...]
-    rankings: tuple[Ranking, ...]
-    warnings: tuple[str, ...] = field(default_factory=tuple)
-    table: tuple[Row, ...] = ()
-
-
 def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
     """Leave bad tracks out of all observations. Returns the number of measurements left out."""
     total = 0
@@ -77,43 +56,6 @@ def mask_outliers(experiment: Experiment, compared: dict[str, Compared]) -> int:
             experiment.observations[name] = replace(item.observation, position=position)
             total += count
     return total
-
-
-def first_fit(
-    experiment: Experiment,
-    belief: Belief,
-    spacing: float,
-    *,
-    report: Callable[[str], None] | None = None,
-    warm: bool = False,
-) -> Step:
-    """Fit a model and compare it."""
-    for name in experiment.fitted:
-        experiment.predictor(name, spacing)
-    plan = plan_of(experiment.capture, spacing, warm=warm, screening=True)
-    passed: dict[float, Solution] = {}
-
-    def after_stage(stage: ScheduleStage, solution: Solution) -> None:
-        if stage.spacing == spacing:
-            passed[stage.share] = solution
-
-    solution, _ = fit_belief(
-        experiment.capture,
-        experiment.starting(belief),
-        experiment.fitted,
-        experiment.observations,
-        replace(experiment.settings, spacing=spacing),
-        report=report,
-        problems=experiment.problems,
-        warm=warm,
-        plan=plan,
-        after_stage=after_stage,
-    )
-    compared = compared_on_grid(experiment, solution.belief, spacing)
-    step = Step(solution.belief, solution, compared, experiment.assess(compared), spacing)
-    before = [fit.evaluation.misfit for share, fit in passed.items() if share < HALF]
-    half = passed[HALF].belief if HALF in passed else None
-    return replace(step, halfway=passed_on_the_way(half, before))
 
 
 def discover_effects(
@@ -284,57 +226,12 @@ def discover_effects(
         steps[-1] = converged_fit(experiment, steps[-1], report)
         if steps[-1].added and not known_budget(steps[-1]):
             coarser = screening_spacing(experiment.capture)
-            steps[-1] = with_budget(experiment, steps[-1], report, beside=coarser)
+            steps[-1] = with_budget(experiment, steps[-1], report, refinement_spacing=coarser)
         steps[-1] = bounded(with_simpler_effects(experiment, steps[-1], report), experiment)
     return replace(
-        _conclude(
+        conclude(
             steps, rankings, warnings, seen_faults(experiment), final=final,
             unsure=undetermined(steps[-1], experiment) if steps[-1].explained else (),
         ),  # fmt: skip
         table=next((step.table for step in steps if step.table), table),
     )
-
-
-def _conclude(
-    steps: list[Step],
-    rankings: list[Ranking],
-    warnings: list[str],
-    faults: Mapping[str, Sequence[Finding]] = MappingProxyType({}),
-    *,
-    final: bool = True,
-    unsure: Sequence[str] = (),
-) -> Discovery:
-    """What the steps come to; faults: that the measurement showed by itself; final: with what is to be said
-    of the last one; unsure: effects of its model of which no number is determined: nothing that is concluded
-    rests on them."""
-    last = steps[-1]
-    added: list[str] = []
-    for step in steps:
-        added += [name for name in step.added if name not in added]
-        added = [name for name in added if name not in step.dropped]
-    told = [text for step in steps for text in step.warnings]
-    told += [f"{n}: in the model, but the data determine none of its numbers" for n in added if n in unsure]
-    doubtful = any(name in unsure for name in added)
-    added += [name for name in fault_names(faults) if name not in added]
-    if not last.explained or doubtful:
-        verdict, added = "unknown", []
-    elif not added:
-        verdict = "adequate"
-    else:
-        verdict = "missing" if any(effect(n).kind != "measurement" for n in added) else "measurement"
-    if not final:
-        return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings))
-    came = fault_lines(faults)
-    came += [
-        f"{term.name}: acts since the first frame; the published shape does not bear it"
-        for term in last.belief.terms
-        if term.name in added and term.settings.get("at_rest") is False and "sequences" not in term.settings
-    ]
-    worst = last.assessment.worst
-    if worst < FAR_LESS:
-        came.append(
-            f"no range leaves more than {worst:.2g} of the noise: sigma may be {1.0 / max(worst, 1e-3):.2g} "
-            "times too large, and hide what is missing"
-        )
-    came += doubted_sigma(last.compared)
-    return Discovery(verdict, tuple(added), tuple(steps), tuple(rankings), (*told, *warnings, *came))

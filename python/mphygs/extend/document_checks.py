@@ -24,7 +24,7 @@ from mphygs.diagnose.force_readings import WORDS
 from mphygs.diagnose.missing_force_document import PLUGIN
 from mphygs.fit.belief_document import belief_from_document
 from mphygs.fit.run_checks import check_belief_document
-from mphygs.fit.schedule import check_spacing
+from mphygs.fit.spacings import check_spacing
 from mphygs.model.registry import effects
 
 _VERDICT = one_of(("adequate", "missing", "unknown", "measurement"))
@@ -163,12 +163,12 @@ _STATE = record(
     {
         "belief": _belief,
         "spacing": _length,
-        "lender": maybe(_length),
+        "jacobian_spacing": maybe(_length),
         "refined": Entry.flag,
-        "beside": maybe(_length),
+        "refinement_spacing": maybe(_length),
         "moved": by_name(number),
-        "rough": maybe(_belief),
-        "since": lambda entry: entry.within(0.0, 1.0, "a share"),
+        "coarse_belief": maybe(_belief),
+        "window_share": lambda entry: entry.within(0.0, 1.0, "a share"),
         "reconciled": Entry.flag,
         "warnings": many(sentence),
     },
@@ -248,10 +248,10 @@ def check_models(file: str | Path, states: Sequence[Mapping], capture: Capture) 
     expected = [part.name for part in capture.parts]
     for k, state in enumerate(states):
         where = f"{file}: states[{k}]"
-        for key in ("spacing", "lender", "beside"):
+        for key in ("spacing", "jacobian_spacing", "refinement_spacing"):
             if state[key] is not None:
                 check_spacing(capture, state[key], f"{where}.{key}")
-        for key in ("belief", "rough"):
+        for key in ("belief", "coarse_belief"):
             if state[key] is not None and state[key]["parts"] != expected:
                 found = ", ".join(state[key]["parts"])
                 raise ValueError(f"{where}.{key}: has parts {found}; expected {', '.join(expected)}")

@@ -68,14 +68,14 @@ def _in_place_of(
     say = report or (lambda _text: None)
     say(f"what may stand in the place of {name}, now that {', '.join(current.added)} is in the model")
     try:
-        refits, since = _tried(name, experiment, current, spacing, generator, names, report)
+        refits, window_share = _tried(name, experiment, current, spacing, generator, names, report)
     except SimulationError:
         return None
     own = [excess(r.assessment) for r in refits if r.entry.effect == name]
     limit = min(own) if own else np.inf
     better = [r for r in refits if r.entry.effect != name and r.pays and excess(r.assessment) < limit]
     better.sort(key=lambda r: excess(r.assessment))
-    rivals = [step_of(r, spacing, (), since) for r in better[:RIVALS]]
+    rivals = [step_of(r, spacing, (), window_share) for r in better[:RIVALS]]
     if not current.explained:
         # Only beside what is explained others are asked on its grid.
         moved = [on_the_grid_of(experiment, current, rival, report) for rival in rivals]

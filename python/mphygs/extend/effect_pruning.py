@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from mphygs.extend.finer_grid import jacobian_source
 from mphygs.extend.grids import complete
 from mphygs.extend.step import NEGLIGIBLE, Step, does_alike
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached, minimise, report_of_iterations
+from mphygs.fit.levenberg_marquardt import minimise, report_of_iterations
 from mphygs.fit.problem import Evaluation
 from mphygs.simulate.errors import SimulationError
 
@@ -37,13 +38,13 @@ def with_effects_pruned(
         try:
             problem = experiment.problem(step.spacing)
             belief = step.belief.without_effect(name)
-            lender, tell = (
+            jacobian_problem, tell = (
                 jacobian_source(experiment, step.spacing),
                 report_of_iterations(report, f"without {name}"),
             )
-            if lender is not None:
+            if jacobian_problem is not None:
                 # So far Jacobians of the coarse grid lead, at a fraction of the work.
-                belief = approached(problem, lender, belief, report=tell)
+                belief = approached(problem, jacobian_problem, belief, report=tell)
                 reached = problem.evaluate(belief, jacobian=False)
                 if _far(reached, step.solution.evaluation, FAR_FROM_AFAR):
                     say(f"without {name}: {reached.misfit:.3f} sigma, given up")

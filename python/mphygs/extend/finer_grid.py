@@ -9,15 +9,11 @@ import numpy as np
 
 from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR, PRACTICAL_FLOOR, Compared
 from mphygs.extend.step import Step, beside_coarser, from_grid_to_grid, known_budget, staying
+from mphygs.fit.borrowed_jacobians import approached, fit_by_borrowed_jacobians, with_jacobian_of
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import (
-    fit_by_borrowed_jacobians,
-    minimise,
-    report_of_iterations,
-    with_jacobian_of,
-)
+from mphygs.fit.levenberg_marquardt import minimise, report_of_iterations
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
@@ -54,55 +50,65 @@ def fitted_by_coarse_jacobians(
     experiment: Experiment,
     step: Step,
     spacing: float,
-    lender: float,
+    jacobian_spacing: float,
     report: Callable[[str], None] | None = None,
 ) -> Step | None:
-    """The step fitted on one grid by the Jacobians of a coarser one, of spacing `lender` [m]."""
+    """The step fitted on one grid by the Jacobians of a coarser one, of spacing `jacobian_spacing` [m]."""
     say = report or (lambda _text: None)
-    say(f"refitting on a grid of {1e3 * spacing:.3g} mm, with the derivatives of {1e3 * lender:.3g} mm")
+    derivatives = f"with the derivatives of {1e3 * jacobian_spacing:.3g} mm"
+    say(f"refitting on a grid of {1e3 * spacing:.3g} mm, {derivatives}")
     try:
         for name in experiment.fitted:
-            experiment.predictor(name, lender)
+            experiment.predictor(name, jacobian_spacing)
         solution = fit_by_borrowed_jacobians(
             experiment.problem(spacing),
-            experiment.problem(lender),
+            experiment.problem(jacobian_spacing),
             step.belief,
             iterations=ITERATIONS,
             relative_tolerance=ACCURACY,
             report=report_of_iterations(report, f"{1e3 * spacing:.3g} mm"),
         )
-        compared = compared_on_both_grids(experiment, solution.belief, spacing, lender)
+        compared = compared_on_both_grids(experiment, solution.belief, spacing, jacobian_spacing)
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
     compared, assessment, persists = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
-    changes = {"spacing": spacing, "lender": lender, "beside": None, "moved": moved, "persists": persists}
+    changes = {
+        "spacing": spacing,
+        "jacobian_spacing": jacobian_spacing,
+        "refinement_spacing": None,
+        "moved": moved,
+        "persists": persists,
+    }
     return step.refitted(solution, compared, assessment, **changes)
 
 
-def evaluated(experiment: Experiment, belief: Belief, spacing: float, lender: float | None) -> Evaluation:
-    """The fitted frames at a belief, with the Jacobian that a step there has. lender: see `Step`.
+def evaluated(
+    experiment: Experiment, belief: Belief, spacing: float, jacobian_spacing: float | None
+) -> Evaluation:
+    """The fitted frames at a belief, with the Jacobian that a step there has. jacobian_spacing: see `Step`.
 
     Raises SimulationError.
     """
-    if lender is None:
+    if jacobian_spacing is None:
         return experiment.problem(spacing).evaluate(belief)
     for name in experiment.fitted:
-        experiment.predictor(name, lender)
-    return with_jacobian_of(experiment.problem(lender), experiment.problem(spacing), belief)
+        experiment.predictor(name, jacobian_spacing)
+    return with_jacobian_of(experiment.problem(jacobian_spacing), experiment.problem(spacing), belief)
 
 
 def _change(best: Step) -> dict[str, np.ndarray]:
-    """How a step's prediction changes from the lender's grid to its own, (T, M, 3) [m] of every sequence."""
-    whole = (best.lender / best.spacing) ** 2 - 1.0
+    """How a step's prediction changes from the grid of its Jacobians to its own, (T, M, 3) [m] of every
+    sequence."""
+    whole = (best.jacobian_spacing / best.spacing) ** 2 - 1.0
     return {name: whole * item.refinement for name, item in best.compared.items()}
 
 
 def corrected_coarse_problem(experiment: Experiment, best: Step) -> Problem:
     """The fit on the grid that lent a step its Jacobians, to what was measured less how that step's
     prediction changes from there to its own grid."""
-    problem, change = experiment.problem(best.lender), _change(best)
+    problem, change = experiment.problem(best.jacobian_spacing), _change(best)
     moved = {
         name: replace(experiment.observations[name], position=experiment.observations[name].position - by)
         for name, by in change.items()
@@ -124,21 +130,22 @@ def rival_on_coarse_grid(
     they serve, where that is coarser yet; the comparison is without tangents. None where the rival cannot be
     simulated.
     """
-    lender, change = best.lender, _change(best)
+    jacobian_spacing, change = best.jacobian_spacing, _change(best)
     say = report or (lambda _text: None)
-    say(f"{', '.join(rival.added)} on {1e3 * lender:.3g} mm, less what the grid changes")
+    say(f"{', '.join(rival.added)} on {1e3 * jacobian_spacing:.3g} mm, less what the grid changes")
     try:
+        coarser = jacobian_source(experiment, jacobian_spacing)
+        belief = rival.belief if coarser is None else approached(problem, coarser, rival.belief)
         solution = minimise(
             problem,
-            rival.belief,
+            belief,
             iterations=ITERATIONS,
             relative_tolerance=RIVALS_ACCURACY,
-            lender=jacobian_source(experiment, lender),
-            report=report_of_iterations(report, f"{1e3 * lender:.3g} mm"),
+            report=report_of_iterations(report, f"{1e3 * jacobian_spacing:.3g} mm"),
         )
-        compared = experiment.compare(solution.belief, lender, jacobian=False)
+        compared = experiment.compare(solution.belief, jacobian_spacing, jacobian=False)
     except SimulationError as error:
-        say(f"grid of {1e3 * lender:.3g} mm: {error}")
+        say(f"grid of {1e3 * jacobian_spacing:.3g} mm: {error}")
         return None
     compared = {
         name: replace(
@@ -148,23 +155,30 @@ def rival_on_coarse_grid(
     }
     assessment = experiment.assess(compared)
     say(f"{rival.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range")
-    return rival.refitted(solution, compared, assessment, spacing=best.spacing, lender=lender, beside=None)
+    return rival.refitted(
+        solution,
+        compared,
+        assessment,
+        spacing=best.spacing,
+        jacobian_spacing=jacobian_spacing,
+        refinement_spacing=None,
+    )
 
 
 def compared_on_both_grids(
-    experiment: Experiment, belief: Belief, spacing: float, lender: float
+    experiment: Experiment, belief: Belief, spacing: float, jacobian_spacing: float
 ) -> dict[str, Compared]:
-    """A belief compared on one grid, with the tangents of a coarser one of spacing `lender` [m] and the
-    discretisation's share that the change between the two shows."""
+    """A belief compared on one grid, with the tangents of a coarser one of spacing `jacobian_spacing` [m] and
+    the discretisation's share that the change between the two shows."""
     here = experiment.compare(belief, spacing, jacobian=False)
-    there = experiment.compare(belief, lender, jacobian=False)
+    there = experiment.compare(belief, jacobian_spacing, jacobian=False)
     # Richardson: the error of the finer grid is the change over r^2 - 1, r the ratio of the spacings.
-    whole = (lender / spacing) ** 2 - 1.0
+    whole = (jacobian_spacing / spacing) ** 2 - 1.0
     compared = {
         name: replace(item, refinement=(item.predicted - there[name].predicted) / whole)
         for name, item in here.items()
     }
-    return with_tangents(experiment, compared, belief, lender)
+    return with_tangents(experiment, compared, belief, jacobian_spacing)
 
 
 def compared_on_grid(
@@ -173,14 +187,16 @@ def compared_on_grid(
     spacing: float,
     *,
     refined: bool = False,
-    beside: float | None = None,
+    refinement_spacing: float | None = None,
 ) -> dict[str, Compared]:
     """A belief compared on a grid, with tangents (see `with_tangents`).
 
-    refined: whether the discretisation's share is asked for, beside: on which grid, as `Step` says. Raises
-    SimulationError.
+    refined: whether the discretisation's share is asked for, refinement_spacing: on which grid, as `Step`
+    says. Raises SimulationError.
     """
-    compared = experiment.compare(belief, spacing, jacobian=False, refine=refined, beside=beside)
+    compared = experiment.compare(
+        belief, spacing, jacobian=False, refine=refined, refinement_spacing=refinement_spacing
+    )
     return with_tangents(experiment, compared, belief, spacing)
 
 
@@ -189,11 +205,15 @@ def compared_as_step(experiment: Experiment, step: Step, belief: Belief) -> dict
 
     Raises SimulationError.
     """
-    if step.lender is not None:
-        compared = compared_on_both_grids(experiment, belief, step.spacing, step.lender)
+    if step.jacobian_spacing is not None:
+        compared = compared_on_both_grids(experiment, belief, step.spacing, step.jacobian_spacing)
     else:
         compared = compared_on_grid(
-            experiment, belief, step.spacing, refined=known_budget(step), beside=step.beside
+            experiment,
+            belief,
+            step.spacing,
+            refined=known_budget(step),
+            refinement_spacing=step.refinement_spacing,
         )
     return staying(compared) if step.stays else compared
 

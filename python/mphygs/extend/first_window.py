@@ -11,9 +11,9 @@ from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation
-from mphygs.fit.schedule import (
+from mphygs.fit.schedule import TRACTABLE
+from mphygs.fit.stiffness_scale import (
     HARDLY_WORSE,
-    TRACTABLE,
     about_its_scale,
     at_scales,
     find_scale,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 from mphygs.compare.assess import LARGEST_EXCUSED, LARGEST_GRID_ERROR
-from mphygs.diagnose.grid_error import may_have_all
 from mphygs.extend.finer_grid import (
     LENDS,
     best_fitting,
@@ -18,29 +17,20 @@ from mphygs.extend.finer_grid import (
 )
 from mphygs.extend.onset_transfer import onset_on_grid
 from mphygs.extend.refit import AT_FLOOR, NEAR_FLOOR
-from mphygs.extend.simplest_recordings import sequences_without_loads
 from mphygs.extend.step import (
     EXPLAINED,
-    LARGELY,
     Step,
     beside_coarser,
-    excess,
     from_grid_to_grid,
     known_budget,
-    leaves_most,
-    staying,
 )
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise, report_of_iterations
 from mphygs.fit.place_fit import relocated
 from mphygs.fit.problem import Problem
-from mphygs.fit.schedule import (
-    deciding_spacing,
-    default_spacing,
-    screening_spacing,
-    simulable,
-    without_stiffest,
-)
+from mphygs.fit.spacings import deciding_spacing, default_spacing
+from mphygs.fit.stiffness_scale import simulable, without_stiffest
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -56,39 +46,6 @@ ITERATIONS, FIRST = 8, 3
 BEYOND, CLEAR, FURTHER = 3.0, 1.5, 2.0
 # Share of the cost that the last step of what is concluded may promise, and of what is not near the floor.
 LAST_DIGITS, ROUGHLY = 1e-5, 1e-2
-
-
-def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
-    """Spacing [m] on which the last step should be asked again, None where its grid will do."""
-    first, last = steps[0], steps[-1]
-    deciding = deciding_spacing(experiment.capture)
-    if last.spacing < 1.1 * deciding:
-        return None
-    if leaves_most(steps) and not has_onset(last) and not sequences_without_loads(experiment):
-        # No third effect is tried: what a finer grid may have of it decides.
-        return deciding if not _physics(steps[-2]) and _grid_may_have(experiment, last) else None
-    # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
-    label = "fit" if has_onset(last) else None
-    small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
-        first.assessment, label
-    )
-    if small or last.assessment.worst < GROSS:
-        return deciding
-    if not last.added and last.solution.evaluation.misfit < GROSS:
-        # Near enough on the fitted frames, and far off on others: the grid's error bends the materials.
-        return deciding if _grid_may_have(experiment, last) else None
-    fell = last.added and excess(last.assessment, label) < LARGELY * excess(steps[-2].assessment, label)
-    return deciding if fell and _grid_may_have(experiment, last) else None
-
-
-def _physics(step: Step) -> bool:
-    """Whether a step's budget, where it is known, says that what it leaves is not the grid's."""
-    budget = step.assessment.budget
-    return known_budget(step) and budget["physics"] > BEYOND * budget["discretisation"]
-
-
-def _grid_may_have(experiment: Experiment, step: Step) -> bool:
-    return may_have_all(experiment, step.spacing, step.belief, step.solution.evaluation)
 
 
 def has_onset(step: Step) -> bool:
@@ -122,12 +79,12 @@ def on_grid(
         if softer is not None:
             belief = best_fitting(problem, (belief, softer))
         tell = report_of_iterations(report, f"{1e3 * spacing:.3g} mm")
-        lender = jacobian_source(experiment, spacing)
-        if step.since < 1.0 and has_onset(step):
-            belief = onset_on_grid(experiment, belief, step.since, lender, spacing, tell)
-        solution = minimise(
-            problem, belief, iterations=FIRST, relative_tolerance=1e-3, lender=lender, report=tell
-        )
+        jacobian_problem = jacobian_source(experiment, spacing)
+        if step.window_share < 1.0 and has_onset(step):
+            belief = onset_on_grid(experiment, belief, step.window_share, jacobian_problem, spacing, tell)
+        if jacobian_problem is not None:
+            belief = approached(problem, jacobian_problem, belief)
+        solution = minimise(problem, belief, iterations=FIRST, relative_tolerance=1e-3, report=tell)
         misfit = solution.evaluation.misfit
         if misfit > hopeless:
             say(f"{', '.join(step.added)}: given up, others leave less")
@@ -135,8 +92,8 @@ def on_grid(
         beyond = misfit > GROSS or _out_of_reach(experiment, step, solution, spacing)
         if not solution.converged and not beyond:
             # Where and how hard something is met, to the last digits, is the grid's.
-            rough = misfit >= NEAR_FLOOR or has_onset(step)
-            left, accuracy = ITERATIONS - FIRST, ROUGHLY if rough else 1e-3
+            far = misfit >= NEAR_FLOOR or has_onset(step)
+            left, accuracy = ITERATIONS - FIRST, ROUGHLY if far else 1e-3
             solution = minimise(
                 problem, solution.belief, iterations=left, relative_tolerance=accuracy, least=accuracy,
                 report=tell,
@@ -156,10 +113,10 @@ def on_grid(
         return None
     compared, assessment, persists = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
-    rough = step.belief if spacing < step.spacing else None
+    coarse_belief = step.belief if spacing < step.spacing else None
     changes = {
-        "spacing": spacing, "lender": None, "beside": None, "moved": moved, "rough": rough,
-        "persists": persists,
+        "spacing": spacing, "jacobian_spacing": None, "refinement_spacing": None, "moved": moved,
+        "coarse_belief": coarse_belief, "persists": persists,
     }  # fmt: skip
     return step.refitted(solution, compared, assessment, **changes)
 
@@ -171,7 +128,7 @@ def _out_of_reach(experiment: Experiment, step: Step, solution: Solution, spacin
         return False
     worst = experiment.assess(experiment.compare(solution.belief, spacing, jacobian=False)).worst
     times = FURTHER if _creeps(solution) else FURTHER * BEYOND
-    return _far_beyond(step.assessment.worst, worst, step.spacing / spacing, times=times)
+    return far_beyond(step.assessment.worst, worst, step.spacing / spacing, times=times)
 
 
 def _creeps(solution: Solution) -> bool:
@@ -191,13 +148,13 @@ def _to_last_digits(problem: Problem, belief: Belief, iterations: int = ITERATIO
 
 def converged_fit(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """The step with its numbers at the minimum (see `_to_last_digits`)."""
-    if step.lender is not None or step.assessment.worst > EXPLAINED:
+    if step.jacobian_spacing is not None or step.assessment.worst > EXPLAINED:
         return step  # what Jacobians of another grid lead to has none, and the grid's error hides them
     say = report or (lambda _text: None)
     problem = experiment.problem(step.spacing)
-    lender = jacobian_source(experiment, step.spacing)
+    jacobian_problem = jacobian_source(experiment, step.spacing)
     solution = relocated(
-        problem, step.solution, columns_of=lender, relative_tolerance=LAST_DIGITS, report=report
+        problem, step.solution, columns_of=jacobian_problem, relative_tolerance=LAST_DIGITS, report=report
     )
     solution = _to_last_digits(problem, solution.belief)
     if solution.belief is step.belief:
@@ -213,7 +170,7 @@ def converged_fit(experiment: Experiment, step: Step, report: Callable[[str], No
 def finely(experiment: Experiment, step: Step, report: Callable[[str], None] | None = None) -> Step:
     """An explained step on a grid as fine as the default one, where it is not at the noise and leaves less
     there: what is told of a model should be as near as a fit comes."""
-    coarser = step.lender is None and step.spacing > 1.1 * default_spacing(experiment.capture)
+    coarser = step.jacobian_spacing is None and step.spacing > 1.1 * default_spacing(experiment.capture)
     if not coarser or step.reconciled or has_onset(step) or step.assessment.worst <= AT_FLOOR:
         return step
     after = on_finer_grid(experiment, step, report)
@@ -245,20 +202,25 @@ def with_budget(
     step: Step,
     report: Callable[[str], None] | None = None,
     *,
-    beside: float | None = None,
+    refinement_spacing: float | None = None,
 ) -> Step:
     """The step with the discretisation's share of its misfit known, from one refinement.
 
-    beside: spacing of a coarser grid [m] that shows it well enough where nothing is decided by it, at a
-    hundredth of the work; a finer one is asked where it is not much coarser, or cannot carry the model.
+    refinement_spacing: spacing of a coarser grid [m] that shows it well enough where nothing is decided by
+    it, at a hundredth of the work; a finer one is asked where it is not much coarser, or cannot carry the
+    model.
     """
-    coarse = beside if beside is not None and beside > LENDS * step.spacing else None
+    refined_by = refinement_spacing
+    if refined_by is not None and refined_by <= LENDS * step.spacing:
+        refined_by = None
     try:
-        compared = experiment.with_refinement(step.compared, step.belief, step.spacing, beside=coarse)
+        compared = experiment.with_refinement(
+            step.compared, step.belief, step.spacing, refinement_spacing=refined_by
+        )
     except SimulationError:
-        return step if coarse is None else with_budget(experiment, step, report)
+        return step if refined_by is None else with_budget(experiment, step, report)
     assessment = experiment.assess(compared)
-    known = replace(step, compared=compared, assessment=assessment, beside=coarse)
+    known = replace(step, compared=compared, assessment=assessment, refinement_spacing=refined_by)
     report_budget(known, report)
     return known
 
@@ -270,56 +232,7 @@ def report_budget(step: Step, report: Callable[[str], None] | None) -> None:
         report(f"shares of the misfit [mm]: {shares}")
 
 
-def on_required_grid(
-    experiment: Experiment,
-    steps: Sequence[Step],
-    report: Callable[[str], None] | None,
-    *,
-    screening: bool,
-    tied: bool = False,
-) -> Step:
-    """The last step on the grid that its misfit asks for, with its error budget where that decides.
-
-    screening: whether the grid so far was only for trying many models, and another may be chosen; tied:
-    whether others do alike, which the deciding grid tells: kinds of damping, say, differ by less than the
-    error of a coarse one.
-    """
-    current, hopeless, spacing = steps[-1], False, None
-    if screening and not known_budget(current) and current.assessment.worst > LARGEST_EXCUSED:
-        # No tangents will excuse it: another grid may be asked without them.
-        spacing = next_spacing(experiment, steps)
-    if spacing is None:
-        current = complete(experiment, current, screening=screening)
-        spacing = next_spacing(experiment, steps) if screening and not current.explained else None
-    deciding = deciding_spacing(experiment.capture)
-    if screening and tied and current.explained and current.spacing > 1.1 * deciding:
-        spacing = deciding
-    if spacing is not None:
-        moved = on_grid(experiment, current, spacing, report)
-        hopeless = moved is not None and _far_beyond(
-            current.assessment.worst, moved.assessment.worst, current.spacing / moved.spacing
-        )
-        current = moved or complete(experiment, current, screening=screening)
-    fine = not screening or current.spacing < 1.1 * deciding_spacing(experiment.capture)
-    if not fine or current.explained or current.assessment.worst >= LARGEST_GRID_ERROR:
-        return current
-    if screening and current.assessment.worst > CLEAR:
-        # What a coarser grid shows of it, at a tenth of the work, may say that it is far too little.
-        rough = with_budget(experiment, current, beside=screening_spacing(experiment.capture))
-        if _physics(rough):
-            report_budget(rough, report)
-            return rough
-    small = excess(current.assessment) < EXPLAINED_ON_COARSE * excess(steps[0].assessment)
-    if screening and current.added and small and not has_onset(current) and not hopeless:
-        after = on_finer_grid(experiment, current, report)
-        if after is not None and after.explained:
-            return after
-        if after is not None and after.stays:
-            current = replace(current, compared=staying(current.compared))
-    return with_budget(experiment, current, report)
-
-
-def _far_beyond(coarse: float, fine: float, ratio: float, *, times: float = BEYOND) -> bool:
+def far_beyond(coarse: float, fine: float, ratio: float, *, times: float = BEYOND) -> bool:
     """Whether what a refit on a finer grid leaves is more than a still finer one could take away: several
     times what the error that falls with the square of the spacing would, by the two of them.
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.fit.levenberg_marquardt import Solution, led_by_secants
+from mphygs.fit.borrowed_jacobians import led_by_secants
+from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError

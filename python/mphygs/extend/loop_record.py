@@ -13,7 +13,8 @@ from mphygs.capture.written import replace_file
 from mphygs.diagnose.ranking import RankedEffect, Ranking
 from mphygs.extend.document_checks import check_known, check_models, read_steps
 from mphygs.extend.step import Step
-from mphygs.extend.steps import bounded, left_out_of, restored, state_of, step_document
+from mphygs.extend.step_uncertainty import bounded
+from mphygs.extend.steps import left_out_of, restored, state_of, step_document
 from mphygs.fit.belief_document import belief_from_document, document_of_belief, plain_value
 from mphygs.fit.experiment import Experiment
 
@@ -51,14 +52,14 @@ class LoopRecord:
         at: int | None = None,
         *,
         before: Sequence[str] = (),
-        more: Mapping[str, object] | None = None,
+        extra: Mapping[str, object] | None = None,
     ) -> None:
-        """Keep a step, the next one or in the place of another. before: effects before the first step; more:
+        """Keep a step, the next one or in the place of another. before: effects before the first step; extra:
         what else is told of it."""
         at = len(self.documents) if at is None else at
         step = bounded(step, experiment)
         inside = self.documents[at - 1]["effects"] if at else before
-        self.documents[at : at + 1] = [step_document(step, experiment, inside) | dict(more or {})]
+        self.documents[at : at + 1] = [step_document(step, experiment, inside) | dict(extra or {})]
         self.states[at : at + 1] = [state_of(step)]
 
     def steps(self, experiment: Experiment) -> list[Step]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mphygs.diagnose.rank import rank
 from mphygs.diagnose.ranking import RankedEffect
-from mphygs.extend.refit import start_refit
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.extend.window_continuation import LINEAR, Begun, with_places_fitted
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
@@ -58,9 +58,9 @@ def restarted_from_best_materials(
     restarted: list[Begun] = []
     for wave in waves(entries):
 
-        def start(own: Experiment, entry: RankedEffect) -> Solution | None:
+        def start(twin: Experiment, entry: RankedEffect) -> Solution | None:
             return start_refit(
-                own, base, entry, spacing, share=share, iterations=iterations, accuracy=accuracy, report=say
+                twin, base, entry, spacing, share=share, iterations=iterations, accuracy=accuracy, report=say
             )
 
         for entry, solution in zip(wave, side_by_side(experiment, start, wave), strict=True):

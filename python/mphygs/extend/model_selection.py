@@ -11,8 +11,9 @@ from mphygs.extend.finer_grid import (
     fitted_by_coarse_jacobians,
     rival_on_coarse_grid,
 )
-from mphygs.extend.grids import complete, on_grid, on_required_grid
+from mphygs.extend.grids import complete, on_grid
 from mphygs.extend.refit import AT_FLOOR, Refit
+from mphygs.extend.required_grid import on_required_grid
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
@@ -40,12 +41,12 @@ def best_and_rivals(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
     return best, near[:RIVALS]
 
 
-def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], since: float) -> Step:
-    """The model of a refit as a step. since: see `Step`."""
+def step_of(refit: Refit, spacing: float, refits: Sequence[Refit], window_share: float) -> Step:
+    """The model of a refit as a step. window_share: see `Step`."""
     added = (refit.entry.effect,)
     return Step(
         refit.belief, refit.solution, refit.compared, refit.assessment, spacing, added,
-        refits=tuple(refits), since=since,
+        refits=tuple(refits), window_share=window_share,
     )  # fmt: skip
 
 
@@ -63,14 +64,14 @@ def on_the_grid_of(
     if rival.spacing == best.spacing:
         return rival
     hopeless = ALIKE**0.5 * best.solution.evaluation.misfit
-    if best.lender is None:
+    if best.jacobian_spacing is None:
         return on_grid(experiment, rival, best.spacing, report, hopeless=hopeless, tangents=False)
     problem = corrected_coarse_problem(experiment, best)
     nearest = _nearest(problem, rival, best)
     moved = nearest and rival_on_coarse_grid(experiment, problem, nearest, best, report)
     if moved is None or not _may_lead(moved, best):
         return moved
-    return fitted_by_coarse_jacobians(experiment, moved, best.spacing, best.lender, report)
+    return fitted_by_coarse_jacobians(experiment, moved, best.spacing, best.jacobian_spacing, report)
 
 
 def _may_lead(rival: Step, best: Step) -> bool:
@@ -144,7 +145,7 @@ def best_of_rivals(
     """
     alike = [rival for rival in rivals if rival.spacing == best.spacing]
     others = [rival for rival in rivals if rival.spacing != best.spacing] if best.explained else []
-    moved = side_by_side(experiment, lambda own, rival: on_the_grid_of(own, best, rival, report), others)
+    moved = side_by_side(experiment, lambda twin, rival: on_the_grid_of(twin, best, rival, report), others)
     alike += [rival for rival in moved if rival is not None]
     alike.sort(key=lambda step: excess(step.assessment))
     beaten = alike and not does_alike(best, alike[0])

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.diagnose.rank import rank
-from mphygs.extend.discovery import first_fit, mask_outliers
+from mphygs.extend.discovery import mask_outliers
 from mphygs.extend.finer_grid import jacobian_source
-from mphygs.extend.refit import finish_refit, start_refit, unseen_gain
+from mphygs.extend.first_fit import first_fit
+from mphygs.extend.refit import finish_refit, unseen_gain
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import with_placed_effect
@@ -69,8 +71,10 @@ def add_effect(
         return _refitted(
             experiment, before, _started(before.belief, name, experiment), name, spacing, generator, report
         )
-    lender = jacobian_source(experiment, spacing)
-    begun = start_refit(experiment, before.solution, entry, spacing, lender=lender, report=report)
+    jacobian_problem = jacobian_source(experiment, spacing)
+    begun = start_refit(
+        experiment, before.solution, entry, spacing, jacobian_problem=jacobian_problem, report=report
+    )
     found = None
     if begun is not None:
         found = finish_refit(

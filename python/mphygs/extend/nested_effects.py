@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from mphygs import _core
-from mphygs.extend.refit import in_logarithm
+from mphygs.extend.refit_beginning import in_logarithm
 from mphygs.model.belief import Belief
 from mphygs.model.materials import lame
 from mphygs.model.registry import effect

@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.extend.finer_grid import compared_as_step, fitted_by_coarse_jacobians
 from mphygs.extend.nested_effects import at_short_time_limit, flow_numbers, without_flow, without_level
 from mphygs.extend.step import Step, does_alike
-from mphygs.extend.steps import uncertainty
+from mphygs.extend.step_uncertainty import uncertainty
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import minimise
 from mphygs.model.belief import Belief
@@ -82,9 +82,9 @@ def _with(
         "dropped": (*step.dropped, wide),
     }
     try:
-        if step.lender is not None:
+        if step.jacobian_spacing is not None:
             begun = replace(step, belief=belief)
-            after = fitted_by_coarse_jacobians(experiment, begun, step.spacing, step.lender, report)
+            after = fitted_by_coarse_jacobians(experiment, begun, step.spacing, step.jacobian_spacing, report)
             return after and replace(after, **changes)
         solution = minimise(
             experiment.problem(step.spacing),

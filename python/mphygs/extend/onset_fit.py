@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from mphygs.fit.levenberg_marquardt import Solution, approached, minimise
+from mphygs.fit.borrowed_jacobians import LENT, approached
+from mphygs.fit.levenberg_marquardt import Solution, minimise
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
@@ -27,19 +28,19 @@ def only_onset_free(belief: Belief) -> Belief:
 
 
 def with_onset_fitted(
-    problem: Problem, belief: Belief, *, lender: Problem | None = None, report: Report | None = None
+    problem: Problem, belief: Belief, *, jacobian_problem: Problem | None = None, report: Report | None = None
 ) -> Belief:
     """The belief with what sets in fitted, all else as it was; as it is where nothing does.
 
     Fitted together from the start, materials make up for a wall that is not at its place yet, and keep it
     there: parts that hardly swing turn into rubber or jelly. Those of the frames before it are nearly right.
-    lender: the same fit on a coarser grid, whose Jacobians serve here. Raises SimulationError.
+    jacobian_problem: the same fit on a coarser grid, whose Jacobians serve here. Raises SimulationError.
     """
     first = only_onset_free(belief)
     if not first.free:
         return belief
-    if lender is not None:
-        found = approached(problem, lender, first, iterations=ALONE, report=report)
+    if jacobian_problem is not None:
+        found = approached(problem, jacobian_problem, first, iterations=ALONE, report=report)
     else:
         found = minimise(
             problem, first, iterations=ALONE, relative_tolerance=1e-3, least=BRINGS, report=report
@@ -54,7 +55,7 @@ def fit_onset_then_all(
     belief: Belief,
     *,
     iterations: int = TOGETHER,
-    lender: Problem | None = None,
+    jacobian_problem: Problem | None = None,
     accuracy: float = 1e-3,
     hopeless: float = math.inf,
     report: Report | None = None,
@@ -64,14 +65,15 @@ def fit_onset_then_all(
     accuracy: share of the cost that a last step may promise; hopeless: chi^2 above which it ends after the
     first iteration (see `minimise`). Raises SimulationError.
     """
-    belief = with_onset_fitted(problem, belief, lender=lender, report=report)
+    belief = with_onset_fitted(problem, belief, jacobian_problem=jacobian_problem, report=report)
     first = 1 if math.isfinite(hopeless) else iterations
+    if jacobian_problem is not None:
+        belief = approached(problem, jacobian_problem, belief, relative_tolerance=max(accuracy, LENT))
     found = minimise(
         problem,
         belief,
         iterations=first,
         relative_tolerance=accuracy,
-        lender=lender,
         hopeless=hopeless,
         report=report,
     )

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.diagnose.contact_search import hold_friction, release_friction
+from mphygs.diagnose.wall import hold_friction, release_friction
 from mphygs.extend.finer_grid import jacobian_source
 from mphygs.extend.onset_fit import fit_onset_then_all, with_onset_fitted
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached
 from mphygs.fit.problem import Problem
-from mphygs.fit.schedule import find_scale, with_materials_at_prior
+from mphygs.fit.stiffness_scale import find_scale, with_materials_at_prior
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -37,29 +37,32 @@ def growing_shares(share: float, kind: str) -> list[float]:
 def onset_on_grid(
     experiment: Experiment,
     belief: Belief,
-    since: float,
-    lender: Problem | None,
+    window_share: float,
+    jacobian_problem: Problem | None,
     spacing: float,
     tell: Callable[[int, object, object], None] | None = None,
 ) -> Belief:
     """The belief with what sets in, from what a coarser grid made of it where that fits here as well, else
     from before it (see `onset_refitted`), whichever fits better."""
     problem, direct = experiment.problem(spacing), None
-    if lender is not None:
+    if jacobian_problem is not None:
         try:
             direct = approached(
-                problem, lender, with_onset_fitted(problem, belief, lender=lender), report=tell
+                problem,
+                jacobian_problem,
+                with_onset_fitted(problem, belief, jacobian_problem=jacobian_problem),
+                report=tell,
             )
             reached = problem.evaluate(direct, jacobian=False)
             if reached.misfit <= BUDGET_FLOOR:
                 return direct
         except SimulationError:
             direct = None
-    anew = onset_refitted(experiment, belief, since, spacing, tell)
+    anew = onset_refitted(experiment, belief, window_share, spacing, tell)
     if direct is None:
         return anew
     try:
-        anew = approached(problem, lender, anew, report=tell)
+        anew = approached(problem, jacobian_problem, anew, report=tell)
         better = problem.evaluate(anew, jacobian=False).cost < reached.cost
     except SimulationError:
         better = False
@@ -69,11 +72,12 @@ def onset_on_grid(
 def onset_refitted(
     experiment: Experiment,
     belief: Belief,
-    since: float,
+    window_share: float,
     spacing: float,
     tell: Callable[[int, object, object], None] | None = None,
 ) -> Belief:
-    """The belief with what sets in at a share `since` of the frames, refitted from before that moment onward.
+    """The belief with what sets in at a share `window_share` of the frames, refitted from before that moment
+    onward.
 
     The materials begin anew from the frames before: those found without the effect are those that bent the
     motion most, and what an impact sets swinging, seen thirty times a second, has many such minima.
@@ -82,14 +86,19 @@ def onset_refitted(
     def window(share: float, start: Belief, iterations: int, *, far: bool = False) -> Belief:
         problem = experiment.window(spacing, share)
         # Far from the minimum a step of the coarse grid may lead to where that grid carries nothing.
-        lender = None if far else jacobian_source(experiment, spacing, share)
+        jacobian_problem = None if far else jacobian_source(experiment, spacing, share)
         found = fit_onset_then_all(
-            problem, start, iterations=iterations, lender=lender, accuracy=ACCURACY, report=tell
+            problem,
+            start,
+            iterations=iterations,
+            jacobian_problem=jacobian_problem,
+            accuracy=ACCURACY,
+            report=tell,
         )
         return found.belief
 
     belief = hold_friction(belief)
-    before = [BEFORE * share * since for share in (0.5, 1.0)]
+    before = [BEFORE * share * window_share for share in (0.5, 1.0)]
     try:
         # There nothing has set in, and what will is left out: it could only be in the way.
         anew = with_materials_at_prior(belief)
@@ -104,7 +113,7 @@ def onset_refitted(
         belief = replace(belief, parameters=parameters)
     except SimulationError:
         pass  # from what the coarser grid had
-    belief = release_friction(window(since, belief, ITERATIONS // 2))
-    for share in [since, *growing_shares(since, "threshold")][1:-1]:
+    belief = release_friction(window(window_share, belief, ITERATIONS // 2))
+    for share in [window_share, *growing_shares(window_share, "threshold")][1:-1]:
         belief = window(share, belief, ITERATIONS // 2)
     return belief

@@ -17,8 +17,9 @@ from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.extend.finer_grid import jacobian_source, with_tangents
 from mphygs.extend.onset_fit import with_onset_fitted
 from mphygs.extend.step import EXPLAINED, Step
+from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.levenberg_marquardt import approached, minimise, report_of_iterations
+from mphygs.fit.levenberg_marquardt import minimise, report_of_iterations
 from mphygs.model.belief import Belief
 from mphygs.model.registry import effect
 from mphygs.simulate.errors import SimulationError
@@ -55,15 +56,15 @@ def reconciled(experiment: Experiment, step: Step, report: Callable[[str], None]
         for name in whole.fitted:
             belief = experiment.with_release(belief, name, step.spacing)
             whole.predictor(name, step.spacing)
-        lender = jacobian_source(whole, step.spacing)
+        jacobian_problem = jacobian_source(whole, step.spacing)
         problem, worst, enough = whole.problem(step.spacing), math.inf, False
-        if lender is not None:
+        if jacobian_problem is not None:
             # The coarse grid's Jacobians, at a fraction of the work, may be enough to say so.
-            belief = with_onset_fitted(problem, belief, lender=lender, report=tell)
-            belief = approached(problem, lender, belief, iterations=ITERATIONS, report=tell)
+            belief = with_onset_fitted(problem, belief, jacobian_problem=jacobian_problem, report=tell)
+            belief = approached(problem, jacobian_problem, belief, iterations=ITERATIONS, report=tell)
             worst, enough = _judged(whole, belief, step.spacing)
         if not enough:
-            if lender is None:
+            if jacobian_problem is None:
                 belief = with_onset_fitted(problem, belief, report=tell)
             solution = minimise(problem, belief, iterations=ITERATIONS, relative_tolerance=1e-3, report=tell)
             worst, enough = _judged(whole, solution.belief, step.spacing)

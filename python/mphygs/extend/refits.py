@@ -12,7 +12,8 @@ from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.diagnose.ranking import RankedEffect, Ranking
 from mphygs.extend.material_restarts import restarted_from_best_materials
 from mphygs.extend.model_selection import ALIKE, ALIKE_EXCESS
-from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit, start_refit
+from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit
+from mphygs.extend.refit_beginning import start_refit
 from mphygs.extend.step import Step
 from mphygs.extend.window_continuation import (
     BEHIND,
@@ -121,9 +122,9 @@ def refits_of(
         late = [entry for entry in wave if entry not in chosen]
         fates |= {e.effect: "would stay behind, many times its promise or not" for e in late}
 
-        def start(own: Experiment, entry: RankedEffect, hopeless: float = hopeless) -> Solution | None:
+        def start(twin: Experiment, entry: RankedEffect, hopeless: float = hopeless) -> Solution | None:
             return start_refit(
-                own,
+                twin,
                 window[1],
                 entry,
                 spacing,
@@ -266,10 +267,10 @@ def _put_right(
         return []
     near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
 
-    def relocate(own: Experiment, item: Begun) -> Begun:
+    def relocate(twin: Experiment, item: Begun) -> Begun:
         _, entry, fit = item
         with suppress(SimulationError):
-            fit = relocated(own.problem(spacing), fit, report=say)
+            fit = relocated(twin.problem(spacing), fit, report=say)
         return fit.evaluation.chi_square, entry, fit
 
     placed = side_by_side(experiment, relocate, near)

@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.diagnose.effect_variants import EffectVariant, late_variants, smooth_variants
 from mphygs.diagnose.next_motion import Proposed, propose
 from mphygs.diagnose.ranking import RankedEffect
-from mphygs.extend.discovery import Discovery
+from mphygs.extend.conclusion import Discovery
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.placement import masses_of_loads

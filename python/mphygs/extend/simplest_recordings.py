@@ -13,7 +13,7 @@ from dataclasses import replace
 from mphygs.extend.step import EXPLAINED, Step
 from mphygs.extend.steps import step_at
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import CONTRAST
+from mphygs.fit.stiffness_scale import CONTRAST
 from mphygs.model.belief import Belief
 
 
@@ -52,6 +52,11 @@ def compared_on_all(experiment: Experiment, first: Belief, step: Step) -> Step:
     parameters += [parameter for key, parameter in found.items() if key not in own]
     belief = replace(step.belief, parameters=tuple(parameters))
     whole = step_at(
-        experiment, belief, step.spacing, added=step.added, ties=step.ties, lender=step.lender
+        experiment,
+        belief,
+        step.spacing,
+        added=step.added,
+        ties=step.ties,
+        jacobian_spacing=step.jacobian_spacing,
     )
-    return replace(whole, since=step.since, refits=step.refits, dropped=step.dropped)
+    return replace(whole, window_share=step.window_share, refits=step.refits, dropped=step.dropped)

@@ -30,18 +30,18 @@ CLEARLY_BETTER, NEGLIGIBLE = 0.8, 0.02
 @dataclass(frozen=True, eq=False)
 class Step:
     """One model of the loop. spacing: of its grid [m]; added: effects new in it; ties: effects that the data
-    cannot tell from them; since: share of the fitted frames, from the first on, that they were found on;
-    dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
-    fitted to all frames, explains them all; lender: spacing of the coarser grid that its Jacobians are
-    of [m], None where they are its own; beside: spacing of the coarser grid that showed the discretisation's
-    share, where one was asked [m], None for a finer one; moved: how far the next finer grid would move each
-    coordinate, by the parameter's key, as the last change of grids tells (see `from_grid_to_grid`); rough:
-    the model as it had been fitted on the coarser grid that it was brought from; halfway: of a first model,
-    as it had been fitted to half the frames on this grid; persists: whether its misfit did on the step from a
-    coarser grid to this one (see `beside_coarser`); warnings: what was said on the way to it; limits:
-    how far its numbers can be moved, None where that was not asked (see `bounded`), and with it change: (N,)
-    error of the grid in the measured rows, by a coarser one;
-    table: the candidates of the round that led to it (see `candidate_rows`)."""
+    cannot tell from them; window_share: share of the fitted frames, from the first on, that they were found
+    on; dropped: effects of earlier steps that are superfluous with them; reconciled: whether the same model,
+    fitted to all frames, explains them all; jacobian_spacing: spacing of the coarser grid that its Jacobians
+    are of [m], None where they are its own; refinement_spacing: spacing of the coarser grid that showed the
+    discretisation's share, where one was asked [m], None for a finer one; moved: how far the next finer grid
+    would move each coordinate, by the parameter's key, as the last change of grids tells (see
+    `from_grid_to_grid`); coarse_belief: the model as it had been fitted on the coarser grid that it was
+    brought from; halfway: of a first model, as it had been fitted to half the frames on this grid; persists:
+    whether its misfit did on the step from a coarser grid to this one (see `beside_coarser`); warnings: what
+    was said on the way to it; limits: how far its numbers can be moved, None where that was not asked (see
+    `bounded`), and with it change: (N,) error of the grid in the measured rows, by a coarser one; table: the
+    candidates of the round that led to it (see `candidate_rows`)."""
 
     belief: Belief
     solution: Solution
@@ -51,13 +51,13 @@ class Step:
     added: tuple[str, ...] = ()
     ties: tuple[str, ...] = ()
     refits: tuple[Refit, ...] = ()
-    since: float = 1.0
+    window_share: float = 1.0
     dropped: tuple[str, ...] = ()
     reconciled: bool = False
-    lender: float | None = None
-    beside: float | None = None
+    jacobian_spacing: float | None = None
+    refinement_spacing: float | None = None
     moved: Mapping[str, float] = field(default_factory=dict)
-    rough: Belief | None = None
+    coarse_belief: Belief | None = None
     halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
     persists: bool = False

@@ -67,15 +67,15 @@ def with_tracks_readmitted(
 def _refitted(experiment: Experiment, step: Step, report: Callable[[str], None] | None) -> Step | None:
     """The step fitted once more, None where that cannot be simulated."""
     problem = experiment.problem(step.spacing)
-    accuracy = REFITTED if step.lender is None else ACCURACY
+    accuracy = REFITTED if step.jacobian_spacing is None else ACCURACY
     try:
         here = _as_it_is(experiment, step)
         if still_at_minimum(
             step.belief, step.solution.evaluation, here.solution.evaluation, relative_tolerance=accuracy
         ):
             return here
-        if step.lender is not None:
-            return fitted_by_coarse_jacobians(experiment, step, step.spacing, step.lender, report)
+        if step.jacobian_spacing is not None:
+            return fitted_by_coarse_jacobians(experiment, step, step.spacing, step.jacobian_spacing, report)
         solution = minimise(problem, step.belief, iterations=ITERATIONS, relative_tolerance=REFITTED)
         compared = compared_as_step(experiment, step, solution.belief)
     except SimulationError:
@@ -88,7 +88,7 @@ def _as_it_is(experiment: Experiment, step: Step) -> Step:
     compared = {
         name: replace(item, observation=experiment.observations[name]) for name, item in step.compared.items()
     }
-    own = step.lender or step.spacing
+    own = step.jacobian_spacing or step.spacing
     width = len(step.belief.free)
     if all(i.tangents_of in (None, own) and i.jacobian.shape[-1] == width for i in compared.values()):
         evaluation = experiment.problem(step.spacing).evaluated(
@@ -101,6 +101,6 @@ def _as_it_is(experiment: Experiment, step: Step) -> Step:
             },
         )
     else:
-        evaluation = evaluated(experiment, step.belief, step.spacing, step.lender)
+        evaluation = evaluated(experiment, step.belief, step.spacing, step.jacobian_spacing)
     solution = replace(step.solution, evaluation=evaluation)
     return step.refitted(solution, compared, experiment.assess(compared))

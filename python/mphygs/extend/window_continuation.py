@@ -46,12 +46,12 @@ def with_places_fitted(
     they may be far from their own."""
     best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
 
-    def relocate(own: Experiment, item: Begun) -> Begun:
+    def relocate(twin: Experiment, item: Begun) -> Begun:
         chi_square, entry, fit = item
         if chi_square > MISPLACED * best or not movable(fit.belief):
             return item
         try:
-            fit = relocated_anywhere(own.window(spacing, share), fit, report=say)
+            fit = relocated_anywhere(twin.window(spacing, share), fit, report=say)
         except SimulationError:
             return item
         return fit.evaluation.chi_square, entry, fit
@@ -92,13 +92,13 @@ def continued_to_all_frames(
             settled = any(fit.evaluation.misfit < SETTLED for _, fit, _ in there)
 
             def follow(
-                own: Experiment,
+                twin: Experiment,
                 item: tuple[RankedEffect, Solution, list[float]],
                 reach: float = reach,
                 hopeless: float = hopeless,
                 settled: bool = settled,
             ) -> Solution | None:
-                problem = own.window(spacing, reach)
+                problem = twin.window(spacing, reach)
                 try:
                     fit = fit_onset_then_all(problem, item[1].belief, hopeless=hopeless)
                     # More frames tell more of where it sits.

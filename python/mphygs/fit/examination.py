@@ -85,17 +85,17 @@ def examine(capture: Capture, recording: Recording, attachment: Attachment) -> E
 
 def _noise_seen(observation: Observation) -> tuple[float | None, str | None]:
     """Noise of a coordinate [m] as all tracks show it, else as points that cannot move do."""
-    if observation.seen is not None:
-        return observation.seen.value, "as the tracks show from frame to frame"
+    if observation.seen_sigma is not None:
+        return observation.seen_sigma.value, "as the tracks show from frame to frame"
     if observation.noise.source.startswith("stated"):
         return None, None
     return observation.sigma, observation.noise.source
 
 
-def longest_gap(seen: np.ndarray) -> int:
-    """Most frames in a row in which a marker is not seen, between two in which it is. seen: (T, M)."""
+def longest_gap(measured: np.ndarray) -> int:
+    """Most frames in a row in which a marker is not seen, between two in which it is. measured: (T, M)."""
     longest = 0
-    for column in seen.T:
+    for column in measured.T:
         frames = np.flatnonzero(column)
         longest = max(longest, int(np.diff(frames).max(initial=1)) - 1)
     return longest

@@ -25,17 +25,6 @@ REFINEMENT = 1.5
 OWN_FRAMES = 40
 
 
-def _drop_starts(belief: Belief, keep: Sequence[str]) -> Belief:
-    """Only the fitted sequences' release and start are free parameters."""
-    return replace(
-        belief,
-        parameters=tuple(
-            p if of_sequence(p) is None else replace(p, free=p.free and of_sequence(p) in keep)
-            for p in belief.parameters
-        ),
-    )
-
-
 @dataclass(eq=False)
 class Experiment:
     """fitted: sequence -> frames to fit; compared ranges come from the capture; whole: sequences that
@@ -87,8 +76,13 @@ class Experiment:
         return cls(capture, settings, fitted)
 
     def starting(self, belief: Belief) -> Belief:
-        """A belief whose free parameters are those that the fitted sequences can tell."""
-        return _drop_starts(belief, list(self.fitted))
+        """A belief whose free parameters are those that the fitted sequences can tell: of releases and starts
+        their own."""
+        parameters = tuple(
+            p if of_sequence(p) is None else replace(p, free=p.free and of_sequence(p) in self.fitted)
+            for p in belief.parameters
+        )
+        return replace(belief, parameters=parameters)
 
     def problem(self, spacing: float) -> Problem:
         """The fit at one spacing."""
@@ -225,14 +219,15 @@ class Experiment:
         names: Sequence[str] | None = None,
         jacobian: bool = True,
         refine: bool = False,
-        beside: float | None = None,
+        refinement_spacing: float | None = None,
         gain: float = 0.0,
         report: Callable[[str], None] | None = None,
     ) -> dict[str, Compared]:
         """Prediction beside measurement of every sequence at a fitted belief.
 
-        refine: whether the discretisation's share is asked for; beside: spacing of the grid that shows it
-        [m], None for a finer one (see `with_refinement`); gain: of the feedback under which it is predicted.
+        refine: whether the discretisation's share is asked for; refinement_spacing: spacing of the grid that
+        shows it [m], None for a finer one (see `with_refinement`); gain: of the feedback under which it is
+        predicted.
         """
         out = {}
         for name in self.compared_names(names):
@@ -256,7 +251,7 @@ class Experiment:
                 predict,
                 sensors=compared_sensors(self.observations[name].sensors, prediction, total),
             )
-            out[name] = self._refined(name, item, known, spacing, beside) if refine else item
+            out[name] = self._refined(name, item, known, spacing, refinement_spacing) if refine else item
         return out
 
     def with_refinement(
@@ -265,21 +260,23 @@ class Experiment:
         belief: Belief,
         spacing: float,
         *,
-        beside: float | None = None,
+        refinement_spacing: float | None = None,
     ) -> dict[str, Compared]:
         """What a belief was compared as on a grid, and the discretisation's share of it.
 
-        beside: spacing of the grid that shows it [m], None for a finer one.
+        refinement_spacing: spacing of the grid that shows it [m], None for a finer one.
         """
         return {
-            name: self._refined(name, item, self.with_release(belief, name, spacing), spacing, beside)
+            name: self._refined(
+                name, item, self.with_release(belief, name, spacing), spacing, refinement_spacing
+            )
             for name, item in compared.items()
         }
 
     def _refined(
-        self, name: str, item: Compared, belief: Belief, spacing: float, beside: float | None
+        self, name: str, item: Compared, belief: Belief, spacing: float, refinement_spacing: float | None
     ) -> Compared:
-        other = spacing / REFINEMENT if beside is None else beside
+        other = spacing / REFINEMENT if refinement_spacing is None else refinement_spacing
         last = item.frames[1]
         prediction = self.predictor(name, other).predict(belief, last=last)
         # Richardson: the whole error is the change over 1 - r^2, r the ratio of the spacings.

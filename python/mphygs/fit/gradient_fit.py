@@ -10,7 +10,8 @@ from mphygs.compare.noise import Observation
 from mphygs.fit.gradient_optimisers import minimise_by_gradient
 from mphygs.fit.levenberg_marquardt import Solution
 from mphygs.fit.problem import Problem
-from mphygs.fit.schedule import ScheduleStage, find_scale, plan_of
+from mphygs.fit.schedule import ScheduleStage, plan_of
+from mphygs.fit.stiffness_scale import find_scale
 from mphygs.model.belief import Belief
 from mphygs.simulate.settings import Settings
 

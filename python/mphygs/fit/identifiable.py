@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.determined import SMALL, determinations, information_of, reference_std
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.schedule import simulable
+from mphygs.fit.stiffness_scale import simulable
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Predictor
 
@@ -48,9 +48,9 @@ class Identifiable:
         evaluation = problem.evaluate(moved)
         return cls(moved, information_of(evaluation, len(moved.free)))
 
-    def expected(self, more: np.ndarray | None = None) -> dict[str, Expected]:
-        """Every free number by key. more: (P, P) information of a further recording."""
-        information = self.information if more is None else self.information + more
+    def expected(self, added_information: np.ndarray | None = None) -> dict[str, Expected]:
+        """Every free number by key. added_information: (P, P) information of a further recording."""
+        information = self.information if added_information is None else self.information + added_information
         free = self.belief.free
         reference = np.array([reference_std(p) for p in free])
         # in units of the priors, which keep it regular
@@ -82,13 +82,13 @@ class Identifiable:
         slopes = found.jacobian.reshape(-1, len(keys)) / sigma
         return slopes.T @ slopes
 
-    def gain(self, more: np.ndarray) -> float:
+    def gain(self, added_information: np.ndarray) -> float:
         """How much further information shrinks the volume of what is possible [nat], priors included."""
         reference = np.array([reference_std(p) for p in self.belief.free])
         scale = np.outer(reference, reference)
         before, after = (
             np.linalg.slogdet(i * scale + np.eye(len(reference)))[1]
-            for i in (self.information, self.information + more)
+            for i in (self.information, self.information + added_information)
         )
         return 0.5 * float(after - before)
 

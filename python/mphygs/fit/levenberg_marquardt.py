@@ -8,7 +8,7 @@ two Jacobians after Broyden, "A class of methods for solving nonlinear simultane
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,17 +29,10 @@ SHORTEST_SUBSTEP = 0.4
 # Steps between two Jacobians, each of which costs as much as nine motions or more; a step has to bring these
 # shares of what was promised: for another after it, and to be taken at all.
 SECANTS, TRUSTED, TAKEN = 3, 0.3, 0.05
-# Steps tried with a Jacobian of another grid, before one of its own is worth its price.
-BORROWED_TRIALS = 3
-# The share of the cost that such a step has to promise: the last digits are not in a coarser grid.
-LENT = 1e-3
 # The fall of the cost that no step is worth taking for; the longest step of any logarithm.
 TOLERANCE, LONGEST_STEP = 0.05, 1.5
 # A gross misfit of which an iteration leaves this share is not worth another one.
 HARDLY = 0.9
-# The share of the cost that an iteration by lent Jacobians has to bring for another one: they are not so much
-# cheaper than its own where both grids take as many substeps.
-LEADS = 1e-2
 TOO_LITTLE = "an iteration brought too little"
 
 
@@ -56,7 +49,7 @@ class Solution:
     start: Belief | None = None
 
 
-def _worth(evaluation: Evaluation, tolerance: float, relative: float) -> float:
+def worth_a_step(evaluation: Evaluation, tolerance: float, relative: float) -> float:
     """The fall of the cost that another step is worth taking for.
 
     A model that is far from the data anyway is not worth the last digits of its numbers.
@@ -65,7 +58,7 @@ def _worth(evaluation: Evaluation, tolerance: float, relative: float) -> float:
     return tolerance + factor * relative * evaluation.cost
 
 
-def _follow_secants(
+def follow_secants(
     problem: Problem,
     belief: Belief,
     reached: Evaluation,
@@ -103,115 +96,6 @@ def _follow_secants(
     return belief, reached
 
 
-def led_by_secants(problem: Problem, belief: Belief, evaluation: Evaluation) -> Belief:
-    """The belief nearer to the minimum, by steps of a Jacobian that is nearly right and the secants.
-
-    evaluation: of the belief, with that Jacobian.
-    """
-
-    def worth(reached: Evaluation) -> float:
-        return _worth(reached, TOLERANCE, LENT)
-
-    jacobian = evaluation.jacobian
-    return _follow_secants(problem, belief, evaluation, jacobian, FIRST_DAMPING, worth, LONGEST_STEP)[0]
-
-
-class _Borrowing:
-    """A problem whose Jacobians are those of another one: the same fit on a coarser grid.
-
-    lowest: cost and belief of the best that was evaluated.
-    """
-
-    def __init__(self, problem: Problem, lender: Problem) -> None:
-        self._problem, self._lender = problem, lender
-        self._known: list[tuple[Belief, Evaluation]] = []
-        self.lowest: tuple[float, Belief] | None = None
-
-    def stable_substep(self, belief: Belief) -> float:
-        return self._problem.stable_substep(belief)
-
-    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
-        # What was tried as a step is asked again for its Jacobian.
-        found = next((e for b, e in self._known if b is belief), None)
-        if found is None:
-            found = self._problem.evaluate(belief, jacobian=False)
-            self._known = [*self._known[-2:], (belief, found)]
-            if self.lowest is None or found.cost < self.lowest[0]:
-                self.lowest = found.cost, belief
-
-        def lent() -> np.ndarray:
-            slopes = self._lender.evaluate(belief).jacobian
-            if len(slopes) != len(found.residual):
-                raise ValueError("the lender has other rows; expected the same frames and markers")
-            return slopes
-
-        return replace(found, slopes=lent() if jacobian else lent)
-
-    def minimise(self, belief: Belief, **options: object) -> Solution:
-        return minimise(self, belief, trials=BORROWED_TRIALS, **options)
-
-
-def approached(
-    problem: Problem,
-    lender: Problem,
-    belief: Belief,
-    *,
-    iterations: int = 8,
-    tolerance: float = 0.05,
-    relative_tolerance: float = 1e-3,
-    report: Callable[[int, Evaluation, Belief], None] | None = None,
-) -> Belief:
-    """The belief nearer to the minimum of a problem, by Jacobians of another one that are cheaper.
-
-    lender: the same fit on a coarser grid: how the motion answers to the materials is much the same there,
-    and what differs the secants put right. Ends where they hardly help; a minimum is not promised.
-    iterations: Jacobians of the lender. Raises SimulationError when the belief cannot be simulated.
-    """
-    borrowing = _Borrowing(problem, lender)
-    try:
-        borrowing.minimise(
-            belief,
-            iterations=iterations,
-            tolerance=tolerance,
-            relative_tolerance=relative_tolerance,
-            least=LEADS,
-            report=report,
-        )
-    except SimulationError:
-        if borrowing.lowest is None:
-            raise
-        # The lender cannot carry what the problem can.
-    return borrowing.lowest[1]
-
-
-def with_jacobian_of(lender: Problem, problem: Problem, belief: Belief) -> Evaluation:
-    """A problem's evaluation, its Jacobian that of a lender. Raises SimulationError."""
-    return _Borrowing(problem, lender).evaluate(belief)
-
-
-def fit_by_borrowed_jacobians(
-    problem: Problem,
-    lender: Problem,
-    belief: Belief,
-    *,
-    iterations: int = 8,
-    relative_tolerance: float = 1e-3,
-    report: Callable[[int, Evaluation, Belief], None] | None = None,
-) -> Solution:
-    """The best that Jacobians of a lender lead to, as a solution whose Jacobian is the lender's as well.
-
-    lender: the same fit on a coarser grid. Raises SimulationError where either cannot be simulated.
-    """
-    borrowing = _Borrowing(problem, lender)
-    solution = borrowing.minimise(
-        belief, iterations=iterations, relative_tolerance=relative_tolerance, report=report
-    )
-    cost, best = borrowing.lowest
-    if cost < solution.evaluation.cost:
-        solution = replace(solution, belief=best, evaluation=borrowing.evaluate(best))
-    return solution
-
-
 def report_of_iterations(
     report: Callable[[str], None] | None, what: str
 ) -> Callable[[int, Evaluation, Belief], None] | None:
@@ -232,7 +116,6 @@ def minimise(
     relative_tolerance: float = 1e-4,
     longest_step: float = LONGEST_STEP,
     trials: int = 10,
-    lender: Problem | None = None,
     gross: float = np.inf,
     dwell: tuple[int, float] | None = None,
     hopeless: float = np.inf,
@@ -245,23 +128,18 @@ def minimise(
     iterations: Jacobians, each used for a few steps; tolerance, relative_tolerance: stop when the next step
     promises less than tolerance (in units of a squared standard deviation) plus this share of the cost;
     longest_step: of any logarithm in one step; trials: steps tried with one Jacobian, shorter and shorter;
-    lender: the same fit on a coarser grid, whose Jacobians lead as far as they serve (see `approached`);
-    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it; dwell: iterations,
-    and the misfit [sigma] above which it ends after these; hopeless: chi^2 above which it ends after the
-    first iteration; least: share of the cost that an iteration has to bring, else it is the last one; known:
-    the evaluation of the starting belief, where it is at hand.
-    Raises SimulationError when even the starting belief cannot be simulated.
+    gross: misfit [sigma] above which it ends where an iteration leaves nearly all of it;
+    dwell: iterations, and the misfit [sigma] above which it ends after these; hopeless: chi^2 above which it
+    ends after the first iteration; least: share of the cost that an iteration has to bring, else it is the
+    last one; known: the evaluation of the starting belief, where it is at hand. Raises SimulationError when
+    even the starting belief cannot be simulated.
     """
-    if lender is not None:
-        belief = approached(
-            problem, lender, belief, tolerance=tolerance, relative_tolerance=max(relative_tolerance, LENT)
-        )
-    current = known if known is not None and lender is None else problem.evaluate(belief)
+    current = problem.evaluate(belief) if known is None else known
     history = [current.cost]
     damping, reason, converged = FIRST_DAMPING, "iterations used up", False
 
     def worth(evaluation: Evaluation) -> float:
-        return _worth(evaluation, tolerance, relative_tolerance)
+        return worth_a_step(evaluation, tolerance, relative_tolerance)
 
     if report:
         report(0, current, belief)
@@ -310,7 +188,7 @@ def minimise(
         belief, reached = trial_belief, trial
         if ratio > TRUSTED:
             after = secant(current.jacobian, current.residual, trial.residual, step, diagonal)
-            belief, reached = _follow_secants(problem, belief, trial, after, damping, worth, longest_step)
+            belief, reached = follow_secants(problem, belief, trial, after, damping, worth, longest_step)
         if iteration == 1 and reached.chi_square > hopeless:
             history.append(reached.cost)
             return Solution(belief, reached, tuple(history), False, "hopeless after an iteration")
@@ -354,7 +232,7 @@ def still_at_minimum(
     before and now.
     """
     more = promise(belief, now) - promise(belief, before)
-    return more < _worth(now, tolerance, relative_tolerance)
+    return more < worth_a_step(now, tolerance, relative_tolerance)
 
 
 def covariance(evaluation: Evaluation) -> np.ndarray:

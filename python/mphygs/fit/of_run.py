@@ -16,7 +16,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import as_one_part, assembled
 from mphygs.fit.marker_label_repair import well_labelled
 from mphygs.fit.run import DOCUMENT, Run, digest_of
-from mphygs.fit.schedule import check_spacing
+from mphygs.fit.spacings import check_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
 from mphygs.simulate.measured_start import of_sequence

@@ -26,7 +26,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.limits import FAR, Limits
 from mphygs.fit.problem import Evaluation, Problem
-from mphygs.fit.schedule import screening_spacing
+from mphygs.fit.spacings import screening_spacing
 from mphygs.fit.uncertainty import grid_directions, prediction_change
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import effect
@@ -162,14 +162,14 @@ class _Search:
 
     problem: Problem
     belief: Belief
-    own: Parameter
+    parameter: Parameter
     likelihood: _Likelihood
     evaluation: Evaluation
     std: float
 
     def limits(self, leaps: bool) -> Limits:
         """leaps: whether the motion goes by leaps, and has no derivatives."""
-        own, stiff = self.own, self._first(STIFFER)
+        own, stiff = self.parameter, self._first(STIFFER)
         told = not own.log and stiff is not None and not leaps  # by its standard error, however little it is
         soft = None if told else self._first(SOFTER)
         found = Limits(
@@ -206,7 +206,7 @@ class _Search:
     def _other_phases(self, stiff: float) -> bool:
         """Whether a vibration a turn away fits as well. stiff: factor whose response is another one."""
         rows = self.evaluation.data_rows
-        index = [p.key for p in self.belief.free].index(self.own.key)
+        index = [p.key for p in self.belief.free].index(self.parameter.key)
         slope, here = self.evaluation.jacobian[:rows, index], self.evaluation.residual[:rows]
         left = self._residual(stiff)
         if left is None:
@@ -227,7 +227,7 @@ class _Search:
     def _value(self, factor: float) -> float:
         """The number at a factor. One that is next to nothing is moved by what its error would hide: there a
         factor says nothing."""
-        own, null = self.own, _null_of(self.own)
+        own, null = self.parameter, _null_of(self.parameter)
         if own.log:
             return own.value * factor
         amount = own.value - null
@@ -238,7 +238,7 @@ class _Search:
 
     def _residual(self, factor: float) -> np.ndarray | None:
         """(N,) of the measured rows, None where the factor cannot be simulated, or by too long a run."""
-        own, value = self.own, self._value(factor)
+        own, value = self.parameter, self._value(factor)
         if own.key.endswith(".youngs_modulus"):
             reach = {"lower": min(own.lower, value), "upper": max(own.upper, value)}
         else:

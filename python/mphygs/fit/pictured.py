@@ -19,7 +19,8 @@ from mphygs.capture.format import Capture
 from mphygs.capture.markers import Markers
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.stages import StageFolder
-from mphygs.capture.views import Photograph, SequenceViews, rest_views_of, sequence_views_of
+from mphygs.capture.view_folders import rest_views_of, sequence_views_of
+from mphygs.capture.views import Photograph, SequenceViews
 from mphygs.compare.carried_gaussians import CarriedGaussians
 from mphygs.compare.image_errors import ComparedFrame, Film, frame_metrics, frames_of, range_errors
 from mphygs.fit.experiment import Experiment

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mphygs.compare.assess import grid_shift
+from mphygs.compare.grid_share import grid_shift
 from mphygs.fit.boundary_share import boundary_columns, widened
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.determined import information_of

@@ -23,17 +23,17 @@ STANDS_OUT, LONGEST = 4.0, 0.25
 class ResidualCorrelation:
     """Covariances of whitened residuals by lag in frames [variance of the noise].
 
-    own: (L,) of one marker with itself beyond what all share, from lag 1 on; common: (L,) of different
+    single: (L,) of one marker with itself beyond what all share, from lag 1 on; common: (L,) of different
     markers, from lag 0 on. Empty where nothing stands out.
     """
 
-    own: tuple[float, ...]
+    single: tuple[float, ...]
     common: tuple[float, ...]
 
     @property
     def found(self) -> bool:
         """Whether anything stands out."""
-        return bool(self.own or self.common)
+        return bool(self.single or self.common)
 
 
 def residual_correlation(residual: np.ndarray, observed: np.ndarray) -> ResidualCorrelation:
@@ -51,7 +51,7 @@ def residual_correlation(residual: np.ndarray, observed: np.ndarray) -> Residual
         shared = float((total**2).sum() - (residual**2).sum()) / pairs
         if shared > STANDS_OUT * square * np.sqrt(2.0 / pairs):
             common.append(shared)
-    own: list[float] = []
+    single: list[float] = []
     still = True
     for lag in range(1, most + 1):
         alike = coordinates * float((seen[lag:] * seen[:-lag]).sum())
@@ -66,10 +66,10 @@ def residual_correlation(residual: np.ndarray, observed: np.ndarray) -> Residual
         beyond = same / alike - (common[lag] if len(common) > lag else 0.0)
         still = still and beyond > STANDS_OUT * square / np.sqrt(alike)
         if still:
-            own.append(beyond)
+            single.append(beyond)
         elif len(common) <= lag:
             break
-    return ResidualCorrelation(tuple(own), tuple(common))
+    return ResidualCorrelation(tuple(single), tuple(common))
 
 
 def widened_by_correlation(problem: Problem, evaluation: Evaluation, inverse: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ def widened_by_correlation(problem: Problem, evaluation: Evaluation, inverse: np
         for lag, share in enumerate(found.common):
             part = _products(summed, lag)
             middle += share * (part - _products(slopes, 0) if lag == 0 else part + part.T)
-        for lag, share in enumerate(found.own, 1):
+        for lag, share in enumerate(found.single, 1):
             part = _products(slopes, lag)
             middle += share * (part + part.T)
     # In units of the noise's own covariance a direction may gain and not lose.

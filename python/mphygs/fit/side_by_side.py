@@ -39,8 +39,8 @@ def side_by_side(
     twins = [experiment.twin(workers // abreast, halt) for _ in range(abreast)]
     busy, lock = list(twins), Lock()
 
-    def stream(twin: Experiment, own: Sequence[Item]) -> list[Result]:
-        results = [work(twin, item) for item in own]
+    def stream(twin: Experiment, share: Sequence[Item]) -> list[Result]:
+        results = [work(twin, item) for item in share]
         with lock:
             busy.remove(twin)
             for other in busy:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mphygs.fit.determined import determinations, of_unit_length
 from mphygs.fit.limits import FAR, Limits, with_bounds
-from mphygs.fit.place_fit import places_document
+from mphygs.fit.place_uncertainty import places_document
 from mphygs.fit.profile import Interval
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief

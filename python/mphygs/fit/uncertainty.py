@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from mphygs.compare.allowance import modulated_directions
-from mphygs.compare.assess import MODULATIONS
+from mphygs.compare.grid_share import MODULATIONS
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.residual_correlation import widened_by_correlation

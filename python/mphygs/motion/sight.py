@@ -42,14 +42,15 @@ class SightRule:
 class Sight:
     """Of one camera and K points.
 
-    seen: (K,) bool; trust: (K,), 1 where drawing and photograph are alike, towards 0 where they are not, 0
-    where not seen; information: (K, 2, 2) [1/px^2] and pull: (K, 2) [1/px]: the sum of squared differences,
-    in units of their variance, is about d A d - 2 b d for a displacement d [px]; camera: of the resolution in
-    which pixels are counted; difference: root mean square of the differences where the object is.
+    visible: (K,) bool; trust: (K,), 1 where drawing and photograph are alike, towards 0 where they are not, 0
+    where it is hidden; information: (K, 2, 2) [1/px^2] and pull: (K, 2) [1/px]: the sum of squared
+    differences, in units of their variance, is about d A d - 2 b d for a displacement d [px]; camera: of the
+    resolution in which pixels are counted; difference: root mean square of the differences where the object
+    is.
     """
 
     camera: Camera
-    seen: np.ndarray
+    visible: np.ndarray
     trust: np.ndarray
     information: np.ndarray
     pull: np.ndarray

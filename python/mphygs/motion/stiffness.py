@@ -107,10 +107,14 @@ def _turn_rows(graph: ControlGraph, length: np.ndarray) -> csr_matrix:
 
 
 def _rows(
-    graph: ControlGraph, first: np.ndarray, second: np.ndarray, own: np.ndarray, other: np.ndarray
+    graph: ControlGraph,
+    first: np.ndarray,
+    second: np.ndarray,
+    first_block: np.ndarray,
+    second_block: np.ndarray,
 ) -> csr_matrix:
     """Sparse rows of two blocks (E, 3, 6), of the nodes first and second (E,)."""
-    blocks = np.stack([own, other], axis=2)  # (E, 3, 2, 6)
+    blocks = np.stack([first_block, second_block], axis=2)  # (E, 3, 2, 6)
     column = 6 * np.stack([first, second], axis=1)[:, None, :, None] + np.arange(6)
     columns = np.broadcast_to(column, blocks.shape).ravel()
     starts = np.arange(3 * len(first) + 1) * 12

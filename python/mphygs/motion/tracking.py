@@ -84,7 +84,7 @@ class Followed:
 
     def after(self, alignment: Alignment) -> Followed:
         """One frame more."""
-        shown = np.sum([s.seen & (s.trust > _TRUSTED) for s in alignment.sights], axis=0)
+        shown = np.sum([s.visible & (s.trust > _TRUSTED) for s in alignment.sights], axis=0)
         added = (alignment.pose.position, alignment.pose.rotation, shown, alignment.difference)
         mine = (self.position, self.rotation, self.cameras, self.difference)
         pairs = zip(mine, added, strict=True)

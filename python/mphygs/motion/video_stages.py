@@ -18,7 +18,8 @@ from mphygs.capture.holds import Hold
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import quaternion_from_matrix
 from mphygs.capture.stages import Stage, StageFolder
-from mphygs.capture.views import Photograph, RestViews, SequenceViews, rest_views_of, sequence_views_of
+from mphygs.capture.view_folders import rest_views_of, sequence_views_of
+from mphygs.capture.views import Photograph, RestViews, SequenceViews
 from mphygs.motion.camera_check import check_cameras
 from mphygs.motion.contact_motion import coarse_contact
 from mphygs.motion.grip import Grip, find_grip

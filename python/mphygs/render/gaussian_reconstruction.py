@@ -11,7 +11,8 @@ from torch import Tensor
 
 from mphygs.capture.colmap import ColmapPoints
 from mphygs.capture.errors import fault
-from mphygs.capture.views import LEAST_REST_VIEWS, Photograph
+from mphygs.capture.view_folders import LEAST_REST_VIEWS
+from mphygs.capture.views import Photograph
 from mphygs.render.density_control import DensityControl, DensityRule
 from mphygs.render.image_losses import feature_loss, image_loss
 from mphygs.render.image_metrics import ImageMetrics, image_metrics

@@ -22,21 +22,21 @@ class Filmed:
 
     fit: tuple[int, int]
     frames: list[int] = field(default_factory=list)
-    seen: list[np.ndarray] = field(default_factory=list)
+    photographs: list[np.ndarray] = field(default_factory=list)
     drawn: list[np.ndarray] = field(default_factory=list)
 
     def add(self, shown: ComparedFrame) -> None:
         """One frame more."""
         photograph = shown.photographs[0]
         self.frames.append(shown.frame)
-        self.seen.append(_pixels(photograph.colour * photograph.mask[..., None]))
+        self.photographs.append(_pixels(photograph.colour * photograph.mask[..., None]))
         self.drawn.append(_pixels(shown.pictures[0].colour.detach().numpy()))
 
     def document(self, identifier: str, budget: int) -> dict[str, object]:
         """For the page, within a budget [bytes]: by poorer pictures first, then by fewer frames."""
         chosen, quality = list(range(len(self.frames))), QUALITY
         while True:
-            pairs = [(_packed(self.seen[k], quality), _packed(self.drawn[k], quality)) for k in chosen]
+            pairs = [(_packed(self.photographs[k], quality), _packed(self.drawn[k], quality)) for k in chosen]
             if sum(len(a) + len(b) for a, b in pairs) <= budget or len(chosen) < 3:
                 break
             if quality > LOWEST:

@@ -80,9 +80,9 @@ def scene() -> str:
 {CONTROLS}</div>"""
 
 
-def scripts(data: object, *more: str) -> str:
-    """What draws a page. data: {"charts": figures, "scene", "films"}; more: files that follow."""
-    files = ("page.js", "scene.js", "moments.js", "wipe.js", *more)
+def scripts(data: object, *extra_files: str) -> str:
+    """What draws a page. data: {"charts": figures, "scene", "films"}; extra_files: files that follow."""
+    files = ("page.js", "scene.js", "moments.js", "wipe.js", *extra_files)
     return f"""<script type="text/plain" id="library">{plotly_script()}</script>
 <script type="application/json" id="data">{script_data(data)}</script>
 <script>{"".join(asset(name) for name in files)}

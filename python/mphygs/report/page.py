@@ -38,8 +38,8 @@ def report_page(contents: Contents) -> str:
     return document(contents.capture.name, head + body, data)
 
 
-def document(name: str, body: str, data: object, *more: str) -> str:
-    """A page around its body. data, more: see `scripts`."""
+def document(name: str, body: str, data: object, *extra_files: str) -> str:
+    """A page around its body. data, extra_files: see `scripts`."""
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>mphygs: {escape(name)}</title>
 <link rel="icon" href="data:,"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -47,7 +47,7 @@ def document(name: str, body: str, data: object, *more: str) -> str:
 <p id="failed" class="verdict" hidden>Charts cannot be drawn in this browser (it takes WebGL and
 DecompressionStream: any of 2023 or later). Tables and text are complete without them.</p>
 {body}
-{scripts(data, *more)}
+{scripts(data, *extra_files)}
 </body></html>
 """
 

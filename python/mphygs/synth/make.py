@@ -211,9 +211,9 @@ def _seen(
     return seen_through(position, times, faults, motion.movable, generator)
 
 
-def _difference(seen: np.ndarray, plain: np.ndarray, take: Take, sigma: float) -> dict[str, float]:
-    """How far what is seen lies from the motion without what is hidden."""
-    distance = np.linalg.norm(seen - plain, axis=2)
+def _difference(shown: np.ndarray, plain: np.ndarray, take: Take, sigma: float) -> dict[str, float]:
+    """How far what is shown lies from the motion without what is hidden."""
+    distance = np.linalg.norm(shown - plain, axis=2)
 
     def rms(frames: tuple[int, int]) -> float | None:
         window = distance[slice(*frames)]

@@ -44,49 +44,14 @@ class MlsMpmRun : public MlsParticles<T, K> {
     }
 
     /// From the initial particles to state 0.
-    void begin() {
-        if (table_.count() == 0) {
-            return;
-        }
-        const Box box = reach();
-        start_affine_.assign(static_cast<std::size_t>(lanes) * 9 * size(), T{});
-        for (int round = 0; round <= start_rounds(); ++round) {
-            start_round(box, round > 0, round == start_rounds());
-        }
-        for (std::vector<T>* done : {&start_velocity_, &start_affine_}) {
-            done->clear();
-            done->shrink_to_fit();
-        }
-    }
+    void begin();
 
     /// Rounds that find C_0; none where the motion starts from rest.
     int start_rounds() const { return inputs_.primal->velocity0.empty() ? 0 : 4; }
 
     /// Scatters the initial velocities with what is known of C_0, after improving it from the grid
     /// of the round before. A linear field is its fixed point, also at the surface.
-    void start_round(const Box& box, bool improve, bool real) {
-        if (real) {
-            forces_.refresh(0);
-            if (pulls_ && pulls_->enter(0)) {
-                follow(state_.order);
-                pulls_->see_start(state_.moving.data(), start_velocity_);
-                pulls_->spread(*team_);
-            }
-            if (actuation_) {
-                actuation_->enter(0);
-                follow_loads(state_.order);
-                actuation_->see_start(state_.moving.data(), start_velocity_);
-                actuation_->spread();
-            }
-        }
-        grids_.prepare(box, state_.ranges);
-        team_->each(model_.chunk_count_, [&](int c) { start_chunk(static_cast<std::size_t>(c), box, improve, real); });
-        grids_.reduce(box, state_.ranges, *team_, state_.grid);
-        state_.box = box;
-        if (real) {
-            react(given_, 0, 1.0);
-        }
-    }
+    void start_round(const Box& box, bool improve, bool real);
 
     /// What every hold exerts at the output frames, of the values or of a direction: see `ParticleTrajectory`.
     std::vector<double> reaction(int lane) const { return reactions_.of(static_cast<std::size_t>(lane)); }
@@ -165,59 +130,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
     /// K = 1, at the initial state: turns lane 1 of the grid from a field u of velocities into the
     /// acceleration that follows from the deformation u grad (`rates` false) or from the velocity u
     /// itself, its inertia left out (`rates` true). `field`: (nodes, 4).
-    void linearise(std::vector<T>& field, bool rates) {
-        const Box box = reach();
-        forces_.refresh(0);
-        const T h = forces_.dt();
-        const std::size_t numbers = 4 * box.nodes();
-        field.resize(numbers, T{});
-        state_.grid.assign(lanes * numbers + 4, T{});
-        std::copy(field.begin(), field.end(), state_.grid.begin() + static_cast<std::ptrdiff_t>(numbers));
-        grids_.prepare(box, state_.ranges);
-        if (actuation_ && !rates) {
-            actuation_->enter(0);
-            follow_loads(state_.order);
-            actuation_->see(state_.moving.data(), state_.grid.data(), box, T(1));
-            actuation_->spread(false);
-        } else {
-            actuation_.reset();  // loads do not look at velocities
-        }
-        std::vector<T> history = state_.history;
-        for (std::size_t c = 0; c < state_.ranges.size(); ++c) {
-            const CellRange inside = limits(c, box, 0);
-            SeenRange<Pack<T>> seen;
-            MlsTile<T, K> tile;
-            for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
-                ParticlePoint<S> points[tile_packs];
-                for (int k = 0; k < tile_packs; ++k) {
-                    points[k] = load_particles(t + static_cast<std::size_t>(k * lane_count), state_.moving);
-                    locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
-                }
-                gather_tile<T, K>(tile, state_.grid.data(), numbers, model_.axis_, box);
-                for (int k = 0; k < tile_packs; ++k) {
-                    const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                    const Mat3<S> gradient = affine_velocity(tile.get_n(k));
-                    if (rates) {
-                        points[k].v = tile.get_q(k);
-                        points[k].c = gradient;
-                    } else {
-                        points[k].f = points[k].f + gradient * points[k].f;
-                    }
-                    give(tile, k, p, points[k], history.data(), c);
-                    const S mass = tile.get_mass(k);
-                    tile.set_q(k, tile.get_q(k) - mass * points[k].v);
-                    tile.set_n(k, tile.get_n(k) - (static_cast<T>(model_.geometry_.spacing) * mass) * points[k].c);
-                }
-                scatter_tile<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
-            }
-        }
-        // The sum sets the planes that particles reach; what was read must not stay on the others.
-        std::fill(state_.grid.begin(), state_.grid.end(), T{});
-        grids_.reduce(box, state_.ranges, *team_, state_.grid);
-        for (std::size_t i = 0; i < numbers; ++i) {
-            field[i] = i % 4 == 3 ? T{} : state_.grid[numbers + i] / h;
-        }
-    }
+    void linearise(std::vector<T>& field, bool rates);
 
   private:
     template <class TT>
@@ -327,60 +240,10 @@ class MlsMpmRun : public MlsParticles<T, K> {
         }
     }
 
-    ParticlePoint<S> load_start(std::size_t p) const {
-        ParticlePoint<S> point = load_particles(p, state_.moving);
-        const std::size_t n = size();
-        for (int l = 0; l < lanes; ++l) {
-            const std::size_t lane = static_cast<std::size_t>(l);
-            for (std::size_t c = 0; c < 3; ++c) {
-                lane_of(point.v[static_cast<int>(c)], l) = load<T>(&start_velocity_[(3 * lane + c) * n + p]);
-            }
-            for (std::size_t k = 0; k < 9; ++k) {
-                lane_of(point.c.e[k / 3][k % 3], l) = load<T>(&start_affine_[(9 * lane + k) * n + p]);
-            }
-        }
-        return point;
-    }
+    ParticlePoint<S> load_start(std::size_t p) const;
 
-    void start_chunk(std::size_t c, const Box& box, bool improve, bool real) {
-        const CellRange inside = limits(c, box, 0);
-        SeenRange<Pack<T>> seen;
-        MlsTile<T, K> tile;
-        const std::size_t n = size();
-        for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
-            ParticlePoint<S> points[tile_packs];
-            for (int k = 0; k < tile_packs; ++k) {
-                points[k] = load_start(t + static_cast<std::size_t>(k * lane_count));
-                locate(tile, k, points[k].x, inverse_spacing_, model_.axis_, box, inside, seen);
-            }
-            if (improve) {
-                gather_tile<T, K>(tile, state_.grid.data(), 4 * box.nodes(), model_.axis_, box);
-            }
-            for (int k = 0; k < tile_packs; ++k) {
-                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                if (improve) {
-                    points[k].c = affine_velocity(tile.get_n(k));
-                    for (int l = 0; l < lanes; ++l) {
-                        for (std::size_t e = 0; e < 9; ++e) {
-                            store<T>(&start_affine_[(9 * static_cast<std::size_t>(l) + e) * n + p], lane_of(points[k].c.e[e / 3][e % 3], l));
-                        }
-                    }
-                }
-                if (real) {
-                    give(tile, k, p, points[k], state_.history.data(), c);
-                } else {
-                    give_velocity(tile, k, p, points[k]);
-                }
-            }
-            scatter_tile<T, K>(tile, grids_.private_grid(c), grids_.lane_stride(c), model_.axis_, box);
-        }
-    }
-    void give_velocity(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point) const {
-        const S mass = forces_.fixed(*state_.order, fixed_mass, p);
-        tile.set_mass(pack, mass);
-        tile.set_q(pack, mass * point.v);
-        tile.set_n(pack, (static_cast<T>(model_.geometry_.spacing) * mass) * point.c);
-    }
+    void start_chunk(std::size_t c, const Box& box, bool improve, bool real);
+    void give_velocity(MlsTile<T, K>& tile, int pack, std::size_t p, const ParticlePoint<S>& point) const;
 
     /// Overwrites the momentum of a held particle of a hot tile.
     void give_held(MlsTile<T, 0>& tile, std::size_t at, std::size_t hold, std::size_t id, std::size_t c, T u) const {
@@ -407,82 +270,7 @@ class MlsMpmRun : public MlsParticles<T, K> {
         }
     }
 
-    void advance_chunk(std::size_t c, T h, const Box& next, bool forces, bool output, CellRange& range) {
-        SeenRange<Pack<T>> seen;
-        const CellRange now = limits(c, state_.box, 0), then = limits(c, next, 1);
-        SeenRange<Pack<T>> ignored;
-        MlsTile<T, K> tile;
-        T* out = forces ? grids_.private_grid(c) : nullptr;
-        const std::size_t n = size();
-        SeenRange<Wide<T>> seen_wide;
-        const bool plain = K == 0 && forces_.plain();
-        for (std::size_t t = chunk_begin(c); t < chunk_begin(c + 1); t += tile_size) {
-            if constexpr (K == 0) {
-                if (plain && forces_.plain_tile(*state_.order, t) && !tile_reacts(*state_.order, t)) {
-                    stand_tile(tile, *state_.order, *from_, state_.box, t, now);
-                    gather_rows<T>(tile, state_.grid.data(), model_.axis_, state_.box);
-                    const PlainPass<T> pass = plain_pass(h, forces);
-                    const long failed = mphygs::plain_tile<T>(tile, t, pass, from_->data(), state_.moving.data(), output ? velocity_.data() : nullptr,
-                                                                *state_.order, model_.axis_, next, then, seen_wide);
-                    failed_[c] = failed_[c] < 0 ? failed : failed_[c];
-                    if (forces) {
-                        pull_tile(tile, t);
-                        forces_.each_held_of_tile(*state_.order, t, [&](std::size_t p, std::size_t hold, std::size_t id) {
-                            for (std::size_t a = 0; a < 3; ++a) {
-                                give_held(tile, p - t, hold, id, a, state_.moving[slot_of(a, moving_numbers, p)]);
-                            }
-                        });
-                        scatter_rows<T>(tile, out, model_.axis_, next);
-                    }
-                    continue;
-                }
-            }
-            ParticlePoint<S> points[tile_packs];
-            for (int k = 0; k < tile_packs; ++k) {
-                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                points[k] = load_moving<T, K>(from_->data(), n, p);
-                locate(tile, k, placed<T, K>(*state_.order, p, points[k].x), inverse_spacing_, model_.axis_, state_.box, now, ignored);
-            }
-            gather_tile<T, K>(tile, state_.grid.data(), 4 * state_.box.nodes(), model_.axis_, state_.box);
-            for (int k = 0; k < tile_packs; ++k) {
-                const std::size_t p = t + static_cast<std::size_t>(k * lane_count);
-                ParticlePoint<S>& point = points[k];
-                point.v = tile.get_q(k);
-                point.c = affine_velocity(tile.get_n(k));
-                if (reacts(*state_.order, p)) {
-                    const S mass = forces_.fixed(*state_.order, fixed_mass, p);
-                    sum_held(taken_[c], *state_.order, p, now_, point.x, mass * point.v, mass * point.c);
-                }
-                for (int a = 0; a < 3; ++a) {
-                    point.x[a] = point.x[a] + h * point.v[a];
-                }
-                point.f = strained(point.f, point.c, constant<S>(h));
-                store_moving<T, K>(state_.moving.data(), n, p, point);
-                complete<T, K>(*state_.order, p, point);
-                for (int l = 0; output && l < lanes; ++l) {
-                    for (std::size_t a = 0; a < 3; ++a) {
-                        store<T>(&velocity_[(3 * static_cast<std::size_t>(l) + a) * n + p], lane_of(point.v[static_cast<int>(a)], l));
-                    }
-                }
-                const PackMask<T> bad = locate(tile, k, point.x, inverse_spacing_, model_.axis_, next, then, seen);
-                if (any(bad) && failed_[c] < 0) {
-                    int q = 0;
-                    while (bad[q] == 0) {
-                        ++q;
-                    }
-                    failed_[c] = static_cast<long>(p) + q;
-                }
-                if (forces) {
-                    give(tile, k, p, point, state_.history.data(), c);
-                }
-            }
-            if (forces) {
-                scatter_tile<T, K>(tile, out, grids_.lane_stride(c), model_.axis_, next);
-            }
-        }
-        range = seen.range();
-        range.cover(seen_wide.range());
-    }
+    void advance_chunk(std::size_t c, T h, const Box& next, bool forces, bool output, CellRange& range);
 
     using Particles::chunk_begin, Particles::failed_, Particles::inputs_, Particles::inverse_spacing_, Particles::limits;
     using Particles::load_particles, Particles::model_, Particles::permute_columns, Particles::permute_moving, Particles::reach;

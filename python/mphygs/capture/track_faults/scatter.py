@@ -203,7 +203,7 @@ def _rank(values: np.ndarray, shape: tuple[int, int]) -> int:
     return int((values > threshold * np.median(values)).sum())
 
 
-def _left(course: np.ndarray, seen: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _left(course: np.ndarray, measured: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of some markers: squares of third differences, what unit noise would have of them, their degrees of
     freedom, squares of all that is left and what unit noise would have of those, (5, M); and sums for the
     kurtosis of what is left: of squares, of fourth powers and how many."""
@@ -212,7 +212,7 @@ def _left(course: np.ndarray, seen: np.ndarray, basis: np.ndarray) -> tuple[np.n
     difference = np.diff(np.eye(frames), n=ORDER, axis=0) @ projector
     left = np.tensordot(projector, course, axes=1)
     rough = np.tensordot(difference, course, axes=1)
-    run = np.lib.stride_tricks.sliding_window_view(seen, ORDER + 1, axis=0).all(axis=-1)
+    run = np.lib.stride_tricks.sliding_window_view(measured, ORDER + 1, axis=0).all(axis=-1)
     norms, own = (difference**2).sum(axis=1), np.diag(projector)
     # Differences that follow each other hang together: so many are worth one.
     worth = float((norms.sum()) ** 2 / ((difference @ difference.T) ** 2).sum()) / len(norms)
@@ -221,11 +221,11 @@ def _left(course: np.ndarray, seen: np.ndarray, basis: np.ndarray) -> tuple[np.n
             (np.where(run[..., None], rough, 0.0) ** 2).sum(axis=(0, 2)),
             3.0 * (run * norms[:, None]).sum(axis=0),
             3.0 * worth * run.sum(axis=0),
-            (np.where(seen[..., None], left, 0.0) ** 2).sum(axis=(0, 2)),
-            3.0 * (seen * own[:, None]).sum(axis=0),
+            (np.where(measured[..., None], left, 0.0) ** 2).sum(axis=(0, 2)),
+            3.0 * (measured * own[:, None]).sum(axis=0),
         ]
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = left / np.sqrt(sums[3] / sums[4])[:, None]
-    unit = np.where(seen[..., None] & np.isfinite(unit), unit, 0.0)
-    return sums, np.array([(unit**2).sum(), (unit**4).sum(), 3.0 * seen.sum()])
+    unit = np.where(measured[..., None] & np.isfinite(unit), unit, 0.0)
+    return sums, np.array([(unit**2).sum(), (unit**4).sum(), 3.0 * measured.sum()])

@@ -9,19 +9,19 @@ from mphygs.synth.flower.paint import BladePaint, RoundPaint
 from mphygs.synth.flower.species import GREEN, PALE_GREEN, LeafAt, Species, Tissue, Whorl
 
 
-def _leaf(length: float = 0.032, half_width: float = 0.008, **more: object) -> Outline:
+def _leaf(length: float = 0.032, half_width: float = 0.008, **changes: object) -> Outline:
     usual: dict[str, object] = {
         "widths": (0.3, 0.75, 1.0, 0.85, 0.5, 0.12), "rise": (40.0, 25.0, 0.0, -25.0), "thickness": 0.0022,
         "cup": 0.002, "rounding": 0.1,
     }  # fmt: skip
-    return Outline(length, half_width, **(usual | more))
+    return Outline(length, half_width, **(usual | changes))
 
 
-def _petal(length: float, half_width: float, rise: tuple[float, ...], **more: object) -> Outline:
+def _petal(length: float, half_width: float, rise: tuple[float, ...], **changes: object) -> Outline:
     usual: dict[str, object] = {
         "widths": (0.35, 0.7, 0.95, 1.0, 0.8), "thickness": 0.0020, "cup": 0.002, "rounding": 0.22,
     }  # fmt: skip
-    return Outline(length, half_width, rise=rise, **(usual | more))
+    return Outline(length, half_width, rise=rise, **(usual | changes))
 
 
 def _centre(colour: tuple[float, float, float], *, florets: bool = True) -> RoundPaint:

@@ -9,7 +9,7 @@ import numpy as np
 from mphygs.capture.cameras import Camera
 from mphygs.synth.flower.growth import Flower
 from mphygs.synth.flower.paint import Mottling, painted
-from mphygs.synth.flower.raster import Hits, averaged, hits, vertex_normals
+from mphygs.synth.flower.raster import averaged, hits, vertex_normals
 from mphygs.synth.flower.textured_surface import joined_surfaces
 
 SAMPLES = 2  # along each side of a pixel
@@ -24,7 +24,6 @@ class Drawing:
 
     colour: np.ndarray
     mask: np.ndarray
-    seen: Hits
 
 
 class Painter:
@@ -70,4 +69,4 @@ class Painter:
         part = self.part[seen.face]
         values = np.column_stack([self._colour(part, texture, normal), np.ones(len(part))])
         picture = averaged(values, seen, SAMPLES)
-        return Drawing(picture[..., :3], picture[..., 3], seen)
+        return Drawing(picture[..., :3], picture[..., 3])

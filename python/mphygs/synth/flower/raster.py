@@ -90,11 +90,12 @@ def hits(camera: Camera, vertices: np.ndarray, faces: np.ndarray, *, samples: in
     return Hits(sample, face, weight, distance, (fine.height, fine.width))
 
 
-def averaged(values: np.ndarray, seen: Hits, samples: int) -> np.ndarray:
+def averaged(values: np.ndarray, surface_hits: Hits, samples: int) -> np.ndarray:
     """Pictures (H, W, C) of values (N, C) at the hits, 0 elsewhere, by the mean over each pixel's samples."""
-    rows, columns = seen.size
+    rows, columns = surface_hits.size
     # By counting, channel by channel: the means of a few thousand pixels out of many.
-    pixel = (seen.sample // columns // samples) * (columns // samples) + seen.sample % columns // samples
+    row, column = np.divmod(surface_hits.sample, columns)
+    pixel = (row // samples) * (columns // samples) + column // samples
     count = (rows // samples) * (columns // samples)
     sums = [np.bincount(pixel, weights=values[:, c], minlength=count) for c in range(values.shape[1])]
     return np.stack(sums, axis=1).reshape(rows // samples, columns // samples, -1) / samples**2
