@@ -3,7 +3,9 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <map>
 #include <string>
 
 #include "actuation_scene.hpp"
@@ -26,6 +28,7 @@ struct Case {
     std::vector<int> effects;
     Law law = Law::neo_hookean;
     bool prestressed = true, two_grids = false, springs = false, loads = false, observed = false, reacting = false, hooked = false;
+    bool curved = false, paired = false;
 };
 void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
 
@@ -46,6 +49,11 @@ std::vector<Case> cases() {
     all.push_back({"observed", {}, Law::neo_hookean, true, false, false, false, true});
     all.push_back({"reacting", {}, Law::neo_hookean, true, false, false, false, false, true});
     all.push_back({"hooked", {}, Law::neo_hookean, true, false, false, false, false, false, true});
+    all.push_back({.name = "none_curved", .effects = {}, .curved = true});
+    all.push_back({.name = "none_in_pairs", .effects = {}, .paired = true});
+    all.push_back({.name = "reacting_in_pairs", .effects = {}, .reacting = true, .paired = true});
+    all.push_back({.name = "everything_curved_in_pairs", .effects = every, .springs = true, .loads = true, .observed = true, .reacting = true,
+                   .hooked = true, .curved = true, .paired = true});
     all.push_back({"everything", every, Law::neo_hookean, true, true, true, true, true, true, true});
     return all;
 }
@@ -108,20 +116,62 @@ struct Scene {
     Trajectory<double> run(const F<double>& fields) const { return bar.model->simulate(fields, bar.schedule, {}, hook(), seen()); }
 };
 
+/// Every node somewhere else, and the points where their splines put them.
+void bend(Geometry& g, const TotalLagrangian<double>& straight) {
+    std::map<std::array<std::int32_t, 3>, Eigen::Vector3d> place;
+    const std::vector<std::int32_t>& index = straight.node_index();
+    for (std::size_t n = 0; n < straight.node_count(); ++n) {
+        const double* x = &straight.node_positions()[3 * n];
+        const double y = x[1] + 0.2, z = x[2] - 0.05;
+        const Eigen::Vector3d bent(x[0] + 6 * z * z, x[1] + 4 * y * z, x[2] - 5 * y * y);
+        place[{index[3 * n], index[3 * n + 1], index[3 * n + 2]}] = bent;
+        g.curved_node.insert(g.curved_node.end(), &index[3 * n], &index[3 * n] + 3);
+        g.curved_position.insert(g.curved_position.end(), bent.data(), bent.data() + 3);
+    }
+    const auto carry = [&](std::vector<double>& points, const std::vector<std::int32_t>& cells, std::size_t each) {
+        for (std::size_t p = 0; p < points.size() / 3; ++p) {
+            const std::int32_t* cell = &cells[3 * (p / each)];
+            CurvedCell curved;
+            for (int a = 0; a < 27; ++a) {
+                curved.node.col(a) = place.at({cell[0] + a / 9 - 1, cell[1] + (a / 3) % 3 - 1, cell[2] + a % 3 - 1});
+            }
+            double s[3];
+            for (std::size_t i = 0; i < 3; ++i) {
+                s[i] = (points[3 * p + i] - g.origin[i]) / g.spacing[i] - cell[i];
+            }
+            Eigen::Vector3d x;
+            Eigen::Matrix3d jacobian;
+            curved.at(s, x, jacobian);
+            std::copy_n(x.data(), 3, &points[3 * p]);
+        }
+    };
+    carry(g.points, g.cell, 8);
+    carry(g.surface_points, g.surface_cell, 8);
+    carry(g.places, g.place_cell, 1);
+}
+
 void make(const Case& c, Scene& s) {
+    Schedule own = schedule;
+    if (c.paired) {
+        own.steps = {2, 4};
+        own.paired = true;
+    }
     Settings settings;
     settings.law = c.law;
     settings.active = test::only_active(c.effects);
     test::BarOptions options;
     options.two_grids = c.two_grids;
     options.springs = c.springs;
-    s.bar = test::make_bar(options, schedule, settings);
+    s.bar = test::make_bar(options, own, settings);
     test::stir(s.bar, 21);
     if (!c.prestressed) {
         s.bar.fields.deformation0.clear();
     }
     const int nodes = static_cast<int>(s.bar.model->node_count());
     Geometry g = s.bar.model->geometry();
+    if (c.curved) {
+        bend(g, *s.bar.model);
+    }
     if (c.loads) {
         g.actuation = test::loads(nodes, true);
         s.bar.fields.channel = test::courses<double>(2);
@@ -129,7 +179,7 @@ void make(const Case& c, Scene& s) {
     if (c.reacting) {
         g.hold_centre = {0.1, -0.2, 0.05};
         test::Random random(6);
-        s.bar.schedule.reaction_weight = random.numbers(2 * static_cast<std::size_t>(schedule.total_steps()), 0.1, 0.5);
+        s.bar.schedule.reaction_weight = random.numbers(2 * static_cast<std::size_t>(own.total_steps()), 0.1, 0.5);
     }
     s.bar.model = std::make_shared<TotalLagrangian<double>>(std::move(g), settings);
     s.observed = c.observed;

@@ -239,7 +239,8 @@ def bent_square(count: int = 9) -> trimesh.Trimesh:
     place = np.stack([np.sin(x), y, 1.0 - np.cos(x)], axis=2).reshape(-1, 3)
     n = np.arange(count * count).reshape(count, count)
     a, b, c, d = (v.ravel() for v in (n[:-1, :-1], n[1:, :-1], n[1:, 1:], n[:-1, 1:]))
-    return trimesh.Trimesh(place, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), process=False)
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return trimesh.Trimesh(place, faces, process=False)
 
 
 def test_a_middle_surface_is_given_its_thickness(tmp_path: Path) -> None:

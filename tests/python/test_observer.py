@@ -10,7 +10,8 @@ import torch
 from torch.autograd import gradcheck
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.simulate.body import core_model, discretise, hold_boxes
+from mphygs.simulate.body import core_model, hold_boxes
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.fields import core_effects, core_inputs
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.op import States, Window, rollout, rollout_windows

@@ -9,7 +9,8 @@ from bar_capture import DOWN, bar_belief, bar_capture, turned
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Load
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import core_model, discretise
+from mphygs.simulate.body import core_model
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.prediction import Predictor, Settings
 

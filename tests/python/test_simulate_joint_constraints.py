@@ -9,7 +9,8 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from mphygs.scene.particles import Joint, find_joints
-from mphygs.simulate.body import discretise, hold_boxes
+from mphygs.simulate.body import hold_boxes
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.joint_constraints import patterns
 from mphygs.simulate.modes import natural_modes
 from mphygs.simulate.prediction import Predictor, Settings

@@ -12,7 +12,8 @@ from torch.autograd import forward_ad, gradcheck
 from actuation_example import actuation, channels
 from bar_capture import bar_belief, bar_capture
 from mphygs.model.belief import Belief
-from mphygs.simulate.body import Body, core_model, discretise, hold_boxes
+from mphygs.simulate.body import Body, core_model, hold_boxes
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import core_effects, core_inputs, places
 from mphygs.simulate.marker_map import MarkerMap, polar_rotation

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bar_capture import bar_belief, bar_capture
-from mphygs.simulate import body
+from mphygs.simulate import discretisation
+from mphygs.simulate.body import hold_boxes
 from mphygs.simulate.modes import natural_modes
 from mphygs.simulate.prediction import Predictor, Settings
 
@@ -17,10 +18,10 @@ def frequencies(spacing: float, count: int) -> np.ndarray:
     belief = bar_belief(capture, youngs_modulus=5e4, density=1000.0, prestress="off")
     recording = capture.sequences[0]
     # A grid that does not fit the bar: one that does has no sparse cells.
-    cut = body.discretise(capture, body.hold_boxes(recording), spacing, fitting=False)
+    cut = discretisation.discretise(capture, hold_boxes(recording), spacing, fitting=False)
     settings = Settings(spacing, dtype="float64", workers=1)
     predictor = Predictor(capture, recording, settings, body=cut)
-    assert predictor.body.geometry["sparse"].any() == (body.SPARSE > 0.0)
+    assert predictor.body.geometry["sparse"].any() == (discretisation.SPARSE > 0.0)
     return np.sqrt(np.maximum(natural_modes(predictor, belief, count).squared, 0.0)) / (2 * np.pi)
 
 
@@ -30,7 +31,7 @@ def test_no_mode_is_as_slow_as_the_bars_own(spacing: float, monkeypatch: pytest.
     found = frequencies(spacing, 4)
     np.testing.assert_allclose(found[:2], [2.50, 2.65], rtol=5e-3)
     assert found[2] > 3.5 * found[0]
-    monkeypatch.setattr(body, "SPARSE", 0.0)
+    monkeypatch.setattr(discretisation, "SPARSE", 0.0)
     without = frequencies(spacing, 4)
     assert without[2] < 1.2 * found[0], "without springs there are slower ones, or as slow"
 
@@ -38,10 +39,11 @@ def test_no_mode_is_as_slow_as_the_bars_own(spacing: float, monkeypatch: pytest.
 def test_a_sheet_much_thinner_than_a_cell_has_no_springs() -> None:
     for depth, some in ((0.001, False), (0.008, True)):
         capture = bar_capture(lengths=(0.06,), side=0.0085, depth=depth)
-        found = body.discretise(capture, body.hold_boxes(capture.sequences[0]), 0.0058, fitting=False)
+        found = discretisation.discretise(capture, hold_boxes(capture.sequences[0]), 0.0058, fitting=False)
         sparse = found.geometry["sparse"]
         assert sparse.any() == some
-        assert ((sparse == 0.0) | ((sparse >= body.SMALLEST_SHARE) & (sparse < body.SPARSE))).all()
+        between = (sparse >= discretisation.SMALLEST_SHARE) & (sparse < discretisation.SPARSE)
+        assert ((sparse == 0.0) | between).all()
 
 
 @pytest.mark.parametrize("spacing", [0.0073, 0.0085, 0.0097])
@@ -53,31 +55,31 @@ def test_a_bar_of_one_cell_to_a_section_has_two_and_springs(
     recording, settings = capture.sequences[0], Settings(spacing, dtype="float64", workers=1)
 
     def slowest(count: int) -> np.ndarray:
-        made = body.discretise(capture, body.hold_boxes(recording), spacing)
+        made = discretisation.discretise(capture, hold_boxes(recording), spacing)
         assert sorted(np.ptp(made.quadrature.cell, axis=0) + 1)[:2] == [1, 2]
-        assert made.geometry["sparse"].any() == (body.NARROW > 0)
+        assert made.geometry["sparse"].any() == (discretisation.NARROW > 0)
         predictor = Predictor(capture, recording, settings, body=made)
         return np.sqrt(np.maximum(natural_modes(predictor, belief, count).squared, 0.0)) / (2 * np.pi)
 
     found = slowest(3)
     np.testing.assert_allclose(found[:2], [2.50, 2.65], rtol=1e-2)
     assert found[2] > 3.5 * found[0]
-    monkeypatch.setattr(body, "NARROW", 0)
-    monkeypatch.setattr(body, "SPARSE", 0.0)
+    monkeypatch.setattr(discretisation, "NARROW", 0)
+    monkeypatch.setattr(discretisation, "SPARSE", 0.0)
     assert slowest(3)[2] < 1.2 * found[0]
 
 
 def test_a_grid_that_fits_a_bar_has_full_cells_and_its_own_spacing() -> None:
     capture = bar_capture(lengths=(0.06, 0.033), side=0.0085, depth=0.008)
-    boxes = body.hold_boxes(capture.sequences[0])
-    found = body.discretise(capture, boxes, 0.005)
+    boxes = hold_boxes(capture.sequences[0])
+    found = discretisation.discretise(capture, boxes, 0.005)
     np.testing.assert_allclose(found.quadrature.filled, 1.0, rtol=1e-9)
     np.testing.assert_allclose(
         found.quadrature.spacings, [[0.06 / 12, 0.00425, 0.004], [0.033 / 7, 0.00425, 0.004]]
     )
     # What the hold encloses is not part of it.
     assert found.quadrature.volumes.sum() == pytest.approx(0.093 * 0.0085 * 0.008, rel=1e-9)
-    common = body.discretise(capture, boxes, 0.005, fitting=False)
+    common = discretisation.discretise(capture, boxes, 0.005, fitting=False)
     assert common.quadrature.volumes.sum() == pytest.approx(0.093 * 0.0085 * 0.008, rel=1e-9)
 
 
@@ -88,7 +90,7 @@ def test_both_kinds_of_grid_swing_alike() -> None:
     recording, settings = capture.sequences[0], Settings(0.0052, dtype="float64", workers=1)
     found = []
     for fitting in (True, False):
-        made = body.discretise(capture, body.hold_boxes(recording), 0.0052, fitting=fitting)
+        made = discretisation.discretise(capture, hold_boxes(recording), 0.0052, fitting=fitting)
         predictor = Predictor(capture, recording, settings, body=made)
         found.append(np.sqrt(natural_modes(predictor, belief, 2).squared))
     np.testing.assert_allclose(found[0], found[1], rtol=4e-3)

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from bar_capture import bar_belief, bar_capture
 from mphygs.capture.format import Capture
 from mphygs.model.belief import Belief, Parameter
-from mphygs.simulate.body import discretise, hold_boxes
+from mphygs.simulate.body import hold_boxes
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.measured_start import start_keys
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.start_shapes import HeldAt, StartOnGrid, composed, start_shapes

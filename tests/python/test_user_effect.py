@@ -16,7 +16,7 @@ from mphygs.fit.placement import with_placed_effect
 from mphygs.model import user_effect
 from mphygs.model.registry import ParameterSpec, effect, effects
 from mphygs.model.user_effect import UserEffect, load_plugin, register_effect
-from mphygs.simulate import body
+from mphygs.simulate import discretisation
 from mphygs.simulate.body import core_model
 from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.op import UserTerms, rollout
@@ -149,7 +149,7 @@ def test_a_stress_in_python_is_the_compiled_one(prestress: str, monkeypatch: pyt
     mine = one.predict(soft.with_effect("stiffer", {"e": 1e4}), keys=("stiffer.e",), substep=2e-4)
     if prestress == "off":
         # The springs of sparsely filled cells go by the modulus of the part: a law alone has none.
-        monkeypatch.setattr(body, "SPARSE", 0.0)
+        monkeypatch.setattr(discretisation, "SPARSE", 0.0)
         one = predictor("stress-free")
         mine = one.predict(soft.with_effect("stiffer", {"e": 1e4}), keys=("stiffer.e",), substep=2e-4)
         stiff = bar_belief(one.capture, youngs_modulus=(5e4, 3e4))

@@ -37,8 +37,8 @@ def tube_mesh(line: np.ndarray, radius: float, sides: int = 24) -> tuple[np.ndar
             a, b = i * sides + j, i * sides + (j + 1) % sides
             faces += [[a, b, a + sides], [b, b + sides, a + sides]]
     for j in range(sides):
-        first, last = (count * sides, (count - 1) * sides + j)
-        faces += [[first, (j + 1) % sides, j], [count * sides + 1, last, (count - 1) * sides + (j + 1) % sides]]
+        last, ahead = (count - 1) * sides, (j + 1) % sides
+        faces += [[count * sides, ahead, j], [count * sides + 1, last + j, last + ahead]]
     return outward(vertices, np.array(faces))
 
 
@@ -53,12 +53,20 @@ def sheet_mesh(place: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndar
     top = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     ahead = np.roll(rim, -1)
-    side = np.concatenate([np.stack([rim, rim + count, ahead + count], 1), np.stack([rim, ahead + count, ahead], 1)])
+    corner = (rim, rim + count, ahead + count, ahead)
+    side = np.concatenate([np.stack([corner[0], corner[k], corner[k + 1]], axis=1) for k in (1, 2)])
     faces = np.concatenate([top, top[:, ::-1] + count, side])
     return outward(np.concatenate([middle + step, middle - step]), faces)
 
 
-def rod(length: float = 0.1, radius: float = 0.0015, *, held: float = 0.01, bend: float = 0.0, sides: int = 24) -> Part:
+def rod(
+    length: float = 0.1,
+    radius: float = 0.0015,
+    *,
+    held: float = 0.01,
+    bend: float = 0.0,
+    sides: int = 24,
+) -> Part:
     """Along x from -held to length, bent upwards with a curvature [1/m]."""
     s = np.linspace(-held, length, max(int(round((length + held) / 0.002)), 8) + 1)
     along = np.maximum(s, 0.0)
@@ -68,7 +76,12 @@ def rod(length: float = 0.1, radius: float = 0.0015, *, held: float = 0.01, bend
 
 
 def strip(
-    length: float = 0.1, width: float = 0.02, thickness: float = 3e-4, *, held: float = 0.01, shape: str = "shell"
+    length: float = 0.1,
+    width: float = 0.02,
+    thickness: float = 3e-4,
+    *,
+    held: float = 0.01,
+    shape: str = "shell",
 ) -> Part:
     """A flat strip along x from -held to length."""
     x, y = np.linspace(-held, length, 45), np.linspace(-width / 2, width / 2, 9)
@@ -76,7 +89,13 @@ def strip(
     return Part("part0", *sheet_mesh(place, thickness), shape=shape)
 
 
-def leaf(length: float = 0.04, width: float = 0.025, thickness: float = 3e-4, curl: float = 20.0, cup: float = 20.0) -> Part:
+def leaf(
+    length: float = 0.04,
+    width: float = 0.025,
+    thickness: float = 3e-4,
+    curl: float = 20.0,
+    cup: float = 20.0,
+) -> Part:
     """A pointed leaf from x = 0, curled up along x and cupped across [1/m]."""
     u, w = np.linspace(0, 1, 33), np.linspace(-1, 1, 21)
     half = width / 2 * (0.25 + 0.75 * np.sin(np.pi * (0.9 * u + 0.05)) ** 0.7)

@@ -158,8 +158,8 @@ def _with_sections(
     across = np.stack([((points - place) * d).sum(1) / (d**2).sum(1) for d in (one, two)], axis=1)
     if np.abs(across).max() > _ASIDE * width:
         raise ValueError(
-            f"part '{name}': does not run along one line, expected a rod without branches that does not close "
-            'to a ring, or "as": "solid"'
+            f"part '{name}': does not run along one line, expected a rod without branches that does not "
+            'close to a ring, or "as": "solid"'
         )
     square = np.einsum("p,pa,pb->ab", weight, across, across)
     turn = np.linalg.eigh(square)[1][:, ::-1]

@@ -12,7 +12,8 @@ from mphygs.capture.meshes import Part
 from mphygs.model.belief import Belief
 from mphygs.scene.particles import Quadrature, fill
 from mphygs.scene.slivers import merge_slivers
-from mphygs.simulate.body import SMALLEST_SHARE, Body
+from mphygs.simulate.body import Body
+from mphygs.simulate.discretisation import SMALLEST_SHARE
 from mphygs.simulate.fields import gravity_of, point_fields
 
 # Of a frame: step of the differences that give the acceleration of a hold.

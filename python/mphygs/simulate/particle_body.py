@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from mphygs.capture.format import Capture
 from mphygs.scene.particles import HoldFace, Quadrature, exposed_surface, hold_face, inside
-from mphygs.simulate.body import LANES, Body, discretise
+from mphygs.simulate.body import LANES, Body
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.held_material import enclosed
 
 # Cells behind the face of a clamp that share a node of the quadratic splines with the free material.

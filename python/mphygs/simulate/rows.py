@@ -103,9 +103,9 @@ def _curved_hold(
     grid.
 
     Such a grid has no plane of nodes in the face. Held are all patterns of the displacement over it that the
-    splines can make there and that are not next to nothing: the leading ones of the trace. What a rigid motion
-    does to the nodes it does to the patterns. To each is added as much of the one that is most like the mean
-    as makes its weights add up to one.
+    splines can make there and that are not next to nothing: the leading ones of the trace. What a rigid
+    motion does to the nodes it does to the patterns. To each is added as much of the one that is most like
+    the mean as makes its weights add up to one.
     """
     chart = body.quadrature.chart(part)
     points, area = face.points[mine], face.area[mine]

@@ -15,7 +15,8 @@ from mphygs.capture.sensors import FORCE
 from mphygs.model.belief import Belief
 from mphygs.simulate.actuation import Actuation, acts_by_channels
 from mphygs.simulate.batches import Owned
-from mphygs.simulate.body import Body, discretise, hold_boxes
+from mphygs.simulate.body import Body, hold_boxes
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.fields import core_effects, core_input_tangent, core_inputs, places
 from mphygs.simulate.instruments import Instrument, check_force_sensors, instrument_of
 from mphygs.simulate.marker_carriers import Carriers

@@ -25,7 +25,8 @@ from mphygs import _core
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Hold
 from mphygs.model.belief import Belief, Parameter
-from mphygs.simulate.body import LANES, Body, discretise
+from mphygs.simulate.body import LANES, Body
+from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.modes import SOFT, lowest_modes
 from mphygs.simulate.rows import held_rows
