@@ -6,12 +6,6 @@
 file(GLOB core_sources CONFIGURE_DEPENDS cpp/src/*/*.cpp)
 file(GLOB binding_sources CONFIGURE_DEPENDS cpp/bindings/*.cpp)
 list(FILTER binding_sources EXCLUDE REGEX "processor\\.cpp$")
-# Compiled in one piece each: reading Eigen and instantiating its products takes longer than all the rest of these files.
-file(GLOB factor_sources CONFIGURE_DEPENDS cpp/src/numerics/*.cpp)
-set_source_files_properties(${factor_sources} cpp/src/physics/constraint.cpp cpp/src/total_lagrangian/midpoint_matrix.cpp
-                            PROPERTIES UNITY_GROUP factors)
-file(GLOB equilibrium_sources CONFIGURE_DEPENDS cpp/src/total_lagrangian/equilibrium*.cpp)
-set_source_files_properties(${equilibrium_sources} PROPERTIES UNITY_GROUP equilibrium)
 
 if(MPHYGS_PYTHON)
   find_package(Python REQUIRED COMPONENTS Interpreter Development.Module)
@@ -32,7 +26,6 @@ function(mphygs_add_core suffix)
   add_library(mphygs_core${suffix} STATIC ${core_sources})
   target_compile_options(mphygs_core${suffix} PUBLIC ${ARGN})
   target_link_libraries(mphygs_core${suffix} PUBLIC mphygs_options)
-  set_target_properties(mphygs_core${suffix} PROPERTIES UNITY_BUILD ON UNITY_BUILD_MODE GROUP)
   if(MPHYGS_PYTHON)
     pybind11_add_module(_core${suffix} MODULE NO_EXTRAS ${binding_sources})
     target_compile_definitions(_core${suffix} PRIVATE MPHYGS_MODULE=_core${suffix})
