@@ -178,7 +178,8 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         good = good && std::isfinite(size);
         const bool better = good && size <= 0.9 * least;
         if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
-                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::noise_loose * spread))) {
+                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::noise_loose * spread) ||
+                     (!fast && size <= 3 * Tolerance::noise_loose * spread))) {
             m.stale = m.stale || i > slow_step;
             m.impulse = lambda_rows_;
             return;
