@@ -77,7 +77,7 @@ def test_a_flower_that_was_broken_off_goes_on(
         (run / "run.json").write_text("{}")
         if (outcome := outcomes[len(asked) - 1]) is not None:
             raise outcome
-        return {"seconds": 3.0, "memory": 1, "answer": {"seconds": 40.0}}
+        return {"seconds": 3.0, "processor": 2.0, "memory": 1, "answer": {"seconds": 40.0}}
 
     def result(**more: object) -> dict[str, object]:
         (entry,) = flowers.records_of(flowers.Options(out=tmp_path, **more), "daisy", ["laws"])
@@ -88,8 +88,9 @@ def test_a_flower_that_was_broken_off_goes_on(
         result()
     assert result()["seconds"] == 40.0 and "--resume" in asked[1][0] and asked[1][1]
     assert result()["seconds"] == 40.0 and len(asked) == 2
+    assert "processor" not in result()  # what was broken off did not tell
     # other options, and what failed, begin anew
     assert result(spacing=0.008)["error"] == "mphygs fit: no"
-    assert "error" not in result(spacing=0.008)
+    assert result(spacing=0.008)["processor"] == 2.0
     for arguments, there in asked[2:]:
         assert "--resume" not in arguments and "--baseline" in arguments and not there
