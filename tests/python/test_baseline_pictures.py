@@ -58,7 +58,6 @@ def shown_by(values: Mapping[str, np.ndarray]) -> Callable[..., Watched]:
 
 @pytest.mark.slow
 def test_a_field_fits_the_pictures_that_one_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(field, "STAGES", 5)
     stages_of_truth(pictured_flower(tmp_path / "daisy"), tmp_path / "stages")
     truth = stiff_stem(np.zeros((2, 3)))
 
@@ -71,23 +70,21 @@ def test_a_field_fits_the_pictures_that_one_makes(tmp_path: Path, monkeypatch: p
     answer(fit.main, tmp_path / "daisy", "--baseline", "field", "--out", tmp_path / "run", *options)
     run = load_run(tmp_path / "run")
     costs = [cost for record in run.history for cost in record.costs]
+    assert costs[-1] < 0.1 * costs[0]
     make = maker_of(run)
     experiment, belief = experiment_of(run, workers=1, make=make)
     pictured = pictured_of(run, experiment)
-    # against the best that is as stiff everywhere; what no fit has seen begins at rest
-    alike = field.starting_weights(0) | {"box": truth["box"]}
-    away: dict[str, dict[str, float]] = {}
-    for name in ("frog", "turned"):
+    # far nearer than one modulus for all comes at its best
+    for name, last in (("frog", 12), ("frog", 24), ("turned", 24)):
         one = pictured.predictor(name)
 
-        def moved(values: Mapping[str, np.ndarray], one: Predictor = one) -> np.ndarray:
+        def moved(values: Mapping[str, np.ndarray], one: Predictor = one, last: int = last) -> np.ndarray:
             other = field.FieldPredictor(values, one.capture, one.recording, one.settings, body=one.body)
-            return other.predict(belief).position
+            return other.predict(belief, last=last).position
 
-        others = [moved(alike | {"level": np.array([level])}) for level in np.arange(-0.5, 2.1, 0.5)]
-        right = moved(truth)
-        found = [float(np.sqrt(((p - right) ** 2).mean())) for p in (one.predict(belief).position, *others)]
-        print(name, found)
-        away[name] = found
-    print(costs)
-    assert costs[-1] < 0.1 * costs[0]
+        right, alike = moved(truth), field.starting_weights(0) | {"box": truth["box"]}
+        levels = np.arange(0.0, 2.1, 0.5)
+        others = [moved(alike | {"level": np.array([level])}) for level in levels]
+        found = one.predict(belief, last=last).position
+        away = [float(np.sqrt(((position - right) ** 2).mean())) for position in (found, *others)]
+        print(name, last, away)
