@@ -112,9 +112,13 @@ def made(options: Options, species: str) -> Path:
     """The capture of a flower, made unless it is there."""
     folder = options.out / "captures" / species
     keys = ("seed", "size", "frames", "cameras", "rest_views")
-    given = [part for k in keys for part in (f"--{k.replace('_', '-')}", str(getattr(options, k)))]
+    wanted, kept = {key: getattr(options, key) for key in keys}, folder.with_suffix(".json")
+    if kept.is_file() and json.loads(kept.read_text()) == wanted:
+        return folder
+    given = [part for k in keys for part in (f"--{k.replace('_', '-')}", str(wanted[k]))]
     arguments = ["synth", "flower", "--out", str(folder), "--species", species, *given]
     measured(arguments, options.out / "logs" / f"{species}-synth.log")
+    _write(kept, wanted)
     return folder
 
 
