@@ -14,7 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from bar_capture import bar_capture
 from command_example import SIGMA, SPACING, answer, call, make_capture
-from mphygs.baselines import field, graph, kinds, law_mixture, laws, neural, springs, training
+from mphygs.baselines import field, graph, kinds, law_mixture, laws, neural, springs, training, triplane
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import edges_of
 from mphygs.baselines.residual_network import NAMES, SHAPES, starting_weights
@@ -230,7 +230,7 @@ def test_a_graph_network_learns_the_motion_it_is_shown(
 def stiff_tip(path: Path) -> dict[str, np.ndarray]:
     """Numbers of a field that rises along the bar, by a factor of ten or so."""
     values = field.starting_weights(0) | {"box": np.asarray(load_capture(path).bounds)}
-    along = np.linspace(-1.0, 1.0, field.RESOLUTION)
+    along = np.linspace(-1.0, 1.0, triplane.RESOLUTION)
     values["planes"][:] = 0.0
     values["planes"][0, 0] = along[None]
     values["weight0"][:] = values["bias0"][:] = 0.0
