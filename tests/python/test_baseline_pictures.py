@@ -21,7 +21,6 @@ from mphygs.fit.pictured import Pictured
 from mphygs.fit.run import load_run
 from mphygs.fit.start import starting_belief
 from mphygs.render.splatting import splat
-from mphygs.simulate.prediction import Predictor
 from pictured_example import pictured_flower, stages_of_truth
 
 
@@ -74,17 +73,17 @@ def test_a_field_fits_the_pictures_that_one_makes(tmp_path: Path, monkeypatch: p
     make = maker_of(run)
     experiment, belief = experiment_of(run, workers=1, make=make)
     pictured = pictured_of(run, experiment)
-    # far nearer than one modulus for all comes at its best
-    for name, last in (("frog", 12), ("frog", 24), ("turned", 24)):
-        one = pictured.predictor(name)
+    # of the frames fitted, and with those after, against the best that is as stiff everywhere and at rest
+    one, alike = pictured.predictor("frog"), field.starting_weights(0) | {"box": truth["box"]}
+    for last, share in ((12, 0.5), (24, 0.7)):
 
-        def moved(values: Mapping[str, np.ndarray], one: Predictor = one, last: int = last) -> np.ndarray:
+        def moved(values: Mapping[str, np.ndarray], last: int = last) -> np.ndarray:
             other = field.FieldPredictor(values, one.capture, one.recording, one.settings, body=one.body)
             return other.predict(belief, last=last).position
 
-        right, alike = moved(truth), field.starting_weights(0) | {"box": truth["box"]}
         levels = np.arange(0.0, 2.1, 0.5)
         others = [moved(alike | {"level": np.array([level])}) for level in levels]
-        found = one.predict(belief, last=last).position
-        away = [float(np.sqrt(((position - right) ** 2).mean())) for position in (found, *others)]
-        print(name, last, away)
+        positions = (one.predict(belief, last=last).position, *others)
+        found, *rest = [float(((position - moved(truth)) ** 2).mean()) ** 0.5 for position in positions]
+        assert found < share * min(rest)
+    assert pictured.predictor("turned").velocity is None and one.velocity is not None
