@@ -84,7 +84,10 @@ class CommandError(RuntimeError):
 
 
 def measured(arguments: list[str], log: Path) -> dict[str, float | dict]:
-    """Run `mphygs ARGUMENTS --json`. Seconds, peak memory [byte] and the answer. Raises CommandError."""
+    """Run `mphygs ARGUMENTS --json`. Seconds, those of the processor, peak memory [byte] and the answer.
+
+    Raises CommandError.
+    """
     began = time.perf_counter()
     log.parent.mkdir(parents=True, exist_ok=True)
     answer = log.with_suffix(".json")
@@ -97,16 +100,25 @@ def measured(arguments: list[str], log: Path) -> dict[str, float | dict]:
         lines = log.read_text().strip().splitlines()
         raise CommandError(f"mphygs {arguments[0]}: {lines[-1] if lines else 'failed'}")
     seconds = time.perf_counter() - began
-    return {"seconds": seconds, "memory": 1024 * usage.ru_maxrss, "answer": json.loads(answer.read_text())}
+    return {
+        "seconds": seconds,
+        "processor": usage.ru_utime + usage.ru_stime,
+        "memory": 1024 * usage.ru_maxrss,
+        "answer": json.loads(answer.read_text()),
+    }
 
 
 def made(options: Options, species: str) -> Path:
     """The capture of a flower, made unless it is there."""
     folder = options.out / "captures" / species
     keys = ("seed", "size", "frames", "cameras", "rest_views")
-    given = [part for k in keys for part in (f"--{k.replace('_', '-')}", str(getattr(options, k)))]
+    wanted, kept = {key: getattr(options, key) for key in keys}, folder.with_suffix(".json")
+    if kept.is_file() and json.loads(kept.read_text()) == wanted:
+        return folder
+    given = [part for k in keys for part in (f"--{k.replace('_', '-')}", str(wanted[k]))]
     arguments = ["synth", "flower", "--out", str(folder), "--species", species, *given]
     measured(arguments, options.out / "logs" / f"{species}-synth.log")
+    _write(kept, wanted)
     return folder
 
 
@@ -123,7 +135,7 @@ def staged(
         print(f"    {stage.name}", file=sys.stderr, flush=True)
         log = options.out / "logs" / f"{species}-{stage.name.replace(' ', '-')}.log"
         found = measured([stage.command, str(capture), "--out", str(home), *stage.arguments], log)
-        costs[stage.name] = {"seconds": found["seconds"], "memory": found["memory"]}
+        costs[stage.name] = {key: found[key] for key in ("seconds", "processor", "memory")}
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps(costs, indent=1) + "\n")
     return home, costs
@@ -176,7 +188,8 @@ def fitted(
     entry = judged(run, capture, found["answer"])
     # what was broken off and goes on has spent some before
     seconds = max(found["seconds"], float(found["answer"].get("seconds", 0.0)))
-    return entry | {"seconds": seconds, "memory": found["memory"]}
+    spent = {} if again else {"processor": found["processor"]}  # what was broken off did not tell
+    return entry | {"seconds": seconds, "memory": found["memory"]} | spent
 
 
 def records_of(options: Options, species: str, variants: list[str]) -> list[dict[str, object]]:

@@ -57,6 +57,8 @@ def _means(done: Sequence[Mapping]) -> dict[str, object]:
     for name in ("adjusted_rand_index", "adjusted_rand_index_merged"):
         found[name] = _mean([entry[name] for entry in done])
     found["seconds"] = _mean([entry["seconds"] for entry in done])
+    # results of before this was measured, and of what went on after a break, have none
+    found["processor"] = _mean([entry.get("processor") for entry in done])
     found["stage_seconds"] = _mean([sum(s["seconds"] for s in entry["stages"].values()) for entry in done])
     peaks = [max([e["memory"], *(s["memory"] for s in e["stages"].values())]) for e in done]
     found["memory"] = max(peaks)
@@ -81,8 +83,10 @@ def markdown(found: Mapping[str, object]) -> str:
         "",
     ]
     measures = ("", "PSNR in / across", "IoU in / across", "chamfer in / across [px]")
+    tracks = "tracks in / across [mm]"
     materials = ("error of log E", "of log rho", "of log mass", "error / std")
-    lines += _row(*measures, *materials, "seconds", "memory [GB]", head=True)
+    costs = ("flowers", "seconds", "processor [s]", "memory [GB]")
+    lines += _row(*measures, tracks, *materials, *costs, head=True)
     for variant, means in found["variants"].items():
         inside, across = means["in"], means["cross"]
         lines += _row(
@@ -90,16 +94,19 @@ def markdown(found: Mapping[str, object]) -> str:
             f"{_number(inside['psnr'], 2)} / {_number(across['psnr'], 2)}",
             f"{_number(inside['iou'], 3)} / {_number(across['iou'], 3)}",
             f"{_number(inside['chamfer_px'], 2)} / {_number(across['chamfer_px'], 2)}",
+            " / ".join(_number(1e3 * where["rms"], 2) for where in (inside, across)),
             f"{_number(means['log_E']['mean'], 2)} ({means['log_E']['count']})",
             f"{_number(means['log_rho']['mean'], 2)} ({means['log_rho']['count']})",
             _number(means["log_mass"], 2),
             _number(means["error_over_std"], 2),
+            str(means["flowers"]),
             _number(means["seconds"], 0),
+            _number(means["processor"], 0),
             _number(means["memory"] / 1e9, 2),
         )
     for name, (inside, across) in PAPER.items():
         pairs = [f"{a:g} / {b:g}" for a, b in zip(inside, across, strict=True)]
-        lines += _row(name, *pairs, *[""] * 6)
+        lines += _row(name, *pairs, *[""] * 9)
     lines += [
         "",
         "Means over flowers; of log E and log rho over true parts that the fit says it knows (their number); "

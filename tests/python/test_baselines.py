@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file
+from safetensors.numpy import load_file, save_file
 
 from bar_capture import bar_capture
 from command_example import SIGMA, SPACING, answer, call, make_capture
-from mphygs.baselines import field, graph, law_mixture, laws, neural, springs, training
+from mphygs.baselines import field, graph, kinds, law_mixture, laws, neural, springs, training, triplane
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import edges_of
 from mphygs.baselines.residual_network import NAMES, SHAPES, starting_weights
@@ -230,7 +230,7 @@ def test_a_graph_network_learns_the_motion_it_is_shown(
 def stiff_tip(path: Path) -> dict[str, np.ndarray]:
     """Numbers of a field that rises along the bar, by a factor of ten or so."""
     values = field.starting_weights(0) | {"box": np.asarray(load_capture(path).bounds)}
-    along = np.linspace(-1.0, 1.0, field.RESOLUTION)
+    along = np.linspace(-1.0, 1.0, triplane.RESOLUTION)
     values["planes"][:] = 0.0
     values["planes"][0, 0] = along[None]
     values["weight0"][:] = values["bias0"][:] = 0.0
@@ -247,23 +247,67 @@ def test_a_field_fits_what_one_makes(capture: Path, tmp_path: Path) -> None:
     assert found["other"]["predict"]["rms_over_sigma"] < 1.6
 
 
-def test_the_slope_of_a_field_is_that_of_differences(capture: Path) -> None:
+def moving_tip(path: Path, sequence: str) -> dict[str, np.ndarray]:
+    """The same, and that a sequence begins with a velocity that rises along the bar."""
+    values = stiff_tip(path)
+    velocity = {name: np.zeros(shape) for name, shape in field.VELOCITY.items()}
+    velocity["planes"][:] = values["planes"]
+    velocity["weight0"][0, 0], velocity["bias0"][0] = 1.0, 1.0
+    velocity["weight1"][:, 0] = 0.5, 1.0, -0.5
+    return values | {f"velocity.{sequence}.{name}": value for name, value in velocity.items()}
+
+
+def test_the_slopes_of_fields_are_those_of_differences(capture: Path) -> None:
     first = load_capture(capture)
-    belief, values = starting_belief(first), stiff_tip(capture)
+    belief, recording = starting_belief(first), first.sequences[0]
+    values = moving_tip(capture, recording.name)
     settings = Settings(SPACING, workers=1, dtype="float64")
-    mover = field.FieldPredictor(values, first, first.sequences[0], settings)
+    mover = field.FieldPredictor(values, first, recording, settings)
+    assert np.abs(mover.velocity).max() > 0.001
     substep = 0.5 * mover.stable_substep(belief)
     mover.stable_substep = lambda _: substep  # the same steps for all differences
-    weight = np.random.default_rng(0).standard_normal((12, len(first.sequences[0].markers.at), 3))
-    by_field = mover.field_slope(belief, 12, weight)
+    weight = np.random.default_rng(0).standard_normal((12, len(recording.markers.at), 3))
+    by_field, by_velocity = mover.field_slopes(belief, 12, weight)
     direction = np.random.default_rng(1).standard_normal(by_field.shape)
-    ends = []
-    factor = mover.factor
-    for step in (1e-4, -1e-4):
-        mover.factor = factor * np.exp(step * direction).reshape(factor.shape)
-        mover.forget()
-        ends.append(float((weight * mover.predict(belief, last=12).position).sum()))
-    assert by_field @ direction == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-3)
+    across = 0.01 * np.random.default_rng(2).standard_normal(by_velocity.shape)
+    factor, velocity = mover.factor, mover.velocity
+
+    def slope(by: float, speed: float) -> float:
+        ends = []
+        for step in (1e-4, -1e-4):
+            mover.factor = factor * np.exp(by * step * direction).reshape(factor.shape)
+            mover.velocity = velocity + speed * step * across
+            mover.forget()
+            ends.append(float((weight * mover.predict(belief, last=12).position).sum()))
+        return (ends[0] - ends[1]) / 2e-4
+
+    assert by_field @ direction == pytest.approx(slope(1.0, 0.0), rel=1e-3)
+    assert (by_velocity * across).sum() == pytest.approx(slope(0.0, 1.0), rel=1e-3)
+
+
+def test_a_velocity_at_the_start_is_of_its_sequence_and_its_capture(
+    capture: Path, tmp_path: Path, quick: None
+) -> None:
+    out = tmp_path / "run"
+    answer(fit.main, capture, "--baseline", "field", "--out", out, *OPTIONS)
+    run, first = load_run(out), load_capture(capture)
+    kept = load_file(out / TRAINED)
+    moving = moving_tip(capture, "swing")
+    save_file(kept | {f"values.{k}": moving[k] for k in moving if k != "box"}, out / TRAINED)
+    make, belief = kinds.maker_of(run), starting_belief(first)
+    other = replace(first, name="other", sequences=first.sequences[:1])
+    begun = [
+        make(of, of.sequence(name), run.settings).velocity
+        for of, name in ((first, "swing"), (first, "other"), (other, "swing"))
+    ]
+    assert np.abs(begun[0]).max() > 0.001 and begun[1] is None and begun[2] is None
+    # what a free point does in the first frame, before it is told of any force
+    one = make(first, first.sequence("swing"), run.settings)
+    moved = one.predict(belief, last=2).position
+    one.velocity = None
+    one.forget()
+    away = moved - one.predict(belief, last=2).position
+    assert np.abs(away[0]).max() < 1e-6 and np.abs(away[1]).max() > 1e-6
 
 
 def half_and_half(path: Path) -> dict[str, np.ndarray]:

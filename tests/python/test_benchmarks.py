@@ -49,8 +49,8 @@ def test_the_benchmark_of_baselines_does_nothing_twice(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def flowers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The benchmark of flowers, where making, staging and judging one say nothing."""
+def garden(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The benchmark of flowers."""
     monkeypatch.syspath_prepend(str(SCRIPTS / "flowers"))
     spec = importlib.util.spec_from_file_location("flowers_run", SCRIPTS / "flowers" / "run.py")
     module = importlib.util.module_from_spec(spec)
@@ -58,6 +58,33 @@ def flowers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     spec.loader.exec_module(module)
     for name in ("judge", "table"):  # other benchmarks have files of these names
         sys.modules.pop(name, None)
+    return module
+
+
+def test_a_flower_is_made_once(garden: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[list[str]] = []
+
+    def measured(arguments: list[str], log: Path) -> dict[str, object]:
+        asked.append(arguments)
+        Path(arguments[arguments.index("--out") + 1]).mkdir(parents=True, exist_ok=True)
+        if len(asked) == 1:
+            raise KeyboardInterrupt
+        return {}
+
+    monkeypatch.setattr(garden, "measured", measured)
+    options = garden.Options(out=tmp_path, size=80)
+    with pytest.raises(KeyboardInterrupt):
+        garden.made(options, "daisy")
+    assert garden.made(options, "daisy") == garden.made(options, "daisy") and len(asked) == 2
+    garden.made(garden.Options(out=tmp_path, size=90), "daisy")
+    garden.made(options, "lily")
+    assert len(asked) == 4 and asked[2][asked[2].index("--size") + 1] == "90" and "lily" in asked[3]
+
+
+@pytest.fixture
+def flowers(garden: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The same, where making, staging and judging a flower say nothing."""
+    module = garden
     monkeypatch.setattr(module, "made", lambda options, species: options.out / species)
     monkeypatch.setattr(module, "staged", lambda options, *_: (options.out / "stages", {}))
     monkeypatch.setattr(module, "judged", lambda *_: {})
@@ -77,7 +104,7 @@ def test_a_flower_that_was_broken_off_goes_on(
         (run / "run.json").write_text("{}")
         if (outcome := outcomes[len(asked) - 1]) is not None:
             raise outcome
-        return {"seconds": 3.0, "memory": 1, "answer": {"seconds": 40.0}}
+        return {"seconds": 3.0, "processor": 2.0, "memory": 1, "answer": {"seconds": 40.0}}
 
     def result(**more: object) -> dict[str, object]:
         (entry,) = flowers.records_of(flowers.Options(out=tmp_path, **more), "daisy", ["laws"])
@@ -88,8 +115,9 @@ def test_a_flower_that_was_broken_off_goes_on(
         result()
     assert result()["seconds"] == 40.0 and "--resume" in asked[1][0] and asked[1][1]
     assert result()["seconds"] == 40.0 and len(asked) == 2
+    assert "processor" not in result()  # what was broken off did not tell
     # other options, and what failed, begin anew
     assert result(spacing=0.008)["error"] == "mphygs fit: no"
-    assert "error" not in result(spacing=0.008)
+    assert result(spacing=0.008)["processor"] == 2.0
     for arguments, there in asked[2:]:
         assert "--resume" not in arguments and "--baseline" in arguments and not there

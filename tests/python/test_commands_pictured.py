@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from command_example import answer, call
+from mphygs.baselines.targets import Pictures
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.features import ColourFeatures
 from mphygs.capture.format import load_capture
@@ -113,6 +114,19 @@ def test_pictures_tell_a_wrong_motion_from_the_right_one(fitted: dict) -> None:
     wrong = pictured.errors(soft, names=["frog"])["frog"]["all"]
     assert wrong["iou"] < right["iou"] - 0.02 and wrong["chamfer_px"] > 1.5 * right["chamfer_px"]
     assert wrong["psnr"] < right["psnr"]
+
+
+def test_what_a_baseline_sees_of_pictures_has_the_slope_of_differences(fitted: dict) -> None:
+    run = load_run(fitted["run"])
+    experiment, belief = experiment_of(run, workers=1)
+    pictured = pictured_of(run, experiment)
+    target = Pictures.of(pictured, "frog", (0, 12))
+    position = pictured.moved("frog", belief, last=12).position
+    _, bar = target.cost(position, (2, 5))
+    assert target.weight((2, 5)) == 3 and not bar[:2].any() and not bar[5:].any()
+    along = np.random.default_rng(0).standard_normal((12, 1, 3)) * np.ones((1, position.shape[1], 1))
+    ends = [target.cost(position + step * along, (2, 5))[0] for step in (5e-5, -5e-5)]
+    assert (bar * along).sum() == pytest.approx((ends[0] - ends[1]) / 1e-4, rel=0.05)
 
 
 def test_looks_in_the_videos_are_held_against_those_at_rest(

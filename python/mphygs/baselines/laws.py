@@ -26,7 +26,7 @@ from mphygs.baselines.law_mixture import (
     slopes_of,
     strengths_of,
 )
-from mphygs.baselines.simulated import Fitting, Simulated, fit_simulated, weightless
+from mphygs.baselines.simulated import Fitting, Simulated, fit_simulated, tracked, weightless
 from mphygs.baselines.training import Progress, Values, taken, trained_values
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import Run
@@ -133,4 +133,5 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
         "laws", lambda power: even | {"level": np.array([power * np.log(10.0)])}, RATES, STAGES, ITERATIONS
     )
     make = partial(LawsPredictor, even | {"level": np.zeros(1), "centres": centres})
-    return fit_simulated(run, experiment, progress, make, {"centres": centres}, how)
+    movers, targets = tracked(run, experiment, make)
+    return fit_simulated(run, experiment, progress, movers, targets, {"centres": centres}, how)

@@ -1,8 +1,8 @@
 """What a baseline fits that moves an object by the simulator, with numbers of its own in the place of parts.
 
-It is fitted to markers, or to the tracks of a capture in pictures, through the simulation, to more of the
-fitted frames from stage to stage, and begins at the best of a few moduli that are the same everywhere.
-Density is not fitted; gravity is zero where the rest shape carries it.
+It is fitted through the simulation to markers, to the tracks of a capture in pictures or to the pictures
+themselves, to more of the fitted frames from stage to stage, and begins at the best of a few moduli that are
+the same everywhere. Density is not fitted; gravity is zero where the rest shape carries it.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mphygs.baselines.mover import Learned
+from mphygs.baselines.targets import Target, Tracks
 from mphygs.baselines.training import Plan, Progress, Values, begun_at, train
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.gradient_optimisers import Misfit
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
 from mphygs.simulate.prediction import Maker
@@ -54,7 +54,9 @@ def weightless(belief: Belief) -> Belief:
 @dataclass(frozen=True)
 class Fitting:
     """How a baseline is fitted. name: in what is told; begun: its numbers at a power of ten times the usual
-    stiffness; rates, stages, iterations: of `Plan`; penalty: what numbers themselves cost, with slopes."""
+    stiffness; rates, stages, iterations: of `Plan`; penalty: what numbers themselves cost, with slopes;
+    opening: names of the numbers that alone are fitted in the first stage, none for all of them; pictures:
+    whether costs are those of pictures."""
 
     name: str
     begun: Callable[[float], Values]
@@ -62,49 +64,60 @@ class Fitting:
     stages: int
     iterations: int
     penalty: Callable[[Mapping[str, np.ndarray]], tuple[float, Values]] = lambda _: (0.0, {})
+    opening: tuple[str, ...] = ()
+    pictures: bool = False
+
+
+def tracked(run: Run, experiment: Experiment, make: Maker) -> tuple[dict[str, Simulated], dict[str, Target]]:
+    """Of every fitted sequence what moves its markers, and these. make: what makes the predictors, of
+    `Simulated`, at any of the numbers."""
+    problem = experiment.problem(run.settings.spacing)
+    predictors = {name: problem.predictors[name] for name in problem.ranges}
+    movers = {
+        name: make(p.capture, p.recording, p.settings, body=p.body) for name, p in predictors.items()
+    }
+    return movers, {name: Tracks(problem.observations[name]) for name in movers}
 
 
 def fit_simulated(
     run: Run,
     experiment: Experiment,
     progress: Progress,
-    make: Maker,
+    movers: Mapping[str, Simulated],
+    targets: Mapping[str, Target],
     constants: Mapping[str, np.ndarray],
     how: Fitting,
 ) -> Run:
-    """The complete run. make: what makes the predictors, of `Simulated`, at any of the numbers; constants:
-    what else predicting takes. Raises SimulationError where no modulus can be run."""
+    """The complete run. movers, targets: of every fitted sequence what moves it, and what it shows;
+    constants: what else predicting takes. Raises SimulationError where no modulus can be run."""
     problem = experiment.problem(run.settings.spacing)
     belief = replace(run.belief, parameters=tuple(replace(p, free=False) for p in run.belief.parameters))
     run = replace(run, belief=belief)
-    predictors = {name: problem.predictors[name] for name in problem.ranges}
-    movers = {
-        name: make(p.capture, p.recording, p.settings, body=p.body) for name, p in predictors.items()
-    }
 
     def measure(values: Mapping[str, np.ndarray], number: int, slopes: bool = True) -> tuple[float, Values]:
         stage = number // how.iterations
         share = GROWING[stage] if stage < len(GROWING) else 1.0
         ranges = problem.narrowed(share).ranges if share < 1.0 else problem.ranges
-        cost, rows = 0.0, 0
+        cost, weight = 0.0, 0.0
         total = {name: np.zeros_like(value) for name, value in values.items()}
         for name, mover in movers.items():
-            first, last = ranges[name]
+            span, target = ranges[name], targets[name]
             mover.take(values)
-            misfit = Misfit(problem.observations[name], first, last)
-            bar = misfit.slope(mover.predict(belief, last=last).position)
-            cost += misfit.cost
-            rows += problem.observations[name].whitener(first, last).row_count
-            for key, slope in (mover.slopes(belief, last, bar) if slopes else {}).items():
+            own, bar = target.cost(mover.predict(belief, last=span[1]).position, span)
+            cost, weight = cost + own, weight + target.weight(span)
+            for key, slope in (mover.slopes(belief, span[1], bar) if slopes else {}).items():
                 total[key] += slope
         extra, more = how.penalty(values)
-        return cost / rows + extra, {key: g / rows + more.get(key, 0.0) for key, g in total.items()}
+        learning = how.opening if stage == 0 and how.opening else total
+        gradient = {key: total[key] / weight + more.get(key, 0.0) for key in learning}
+        return cost / weight + extra, gradient
 
     def start() -> Values:
         whole = how.stages * how.iterations
-        return begun_at(how.begun, lambda v: measure(v, whole, slopes=False)[0], progress, name=how.name)
+        told = {"name": how.name, "pictures": how.pictures}
+        return begun_at(how.begun, lambda v: measure(v, whole, slopes=False)[0], progress, **told)
 
     begins = tuple((k + 1) * how.iterations for k in range(len(GROWING)))
-    plan = Plan(how.rates, how.stages, how.iterations, begins=begins)
+    plan = Plan(how.rates, how.stages, how.iterations, begins=begins, pictures=how.pictures)
     run = train(run, start, measure, plan, constants, progress, name=how.name)
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))

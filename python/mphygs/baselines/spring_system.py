@@ -4,13 +4,16 @@ Springs, damping and the weights of far ones after Zhong et al., "Reconstruction
 objects with spring-mass 3D Gaussians" (2024): along a spring of rest length L the force is
 (l - L) K sqrt(1 + |l / L - 1|), K = 10^k / L with k of the point that it belongs to; every point has springs
 to its nearest, the first few whole, the others by a weight that one number for all softens. Masses are 1.
+Forces are linear in K and in the damping, so two springs between the same two points are computed as one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -18,7 +21,7 @@ from mphygs.simulate.errors import SimulationError
 
 # Springs of a point, and those of them that always count whole.
 SPRINGS, WHOLE = 24, 12
-# Of the longest stable step.
+# Of the longest stable step about rest: springs that are stretched by two thirds are stable as well.
 SAFETY = 0.8
 # A spring shorter than this share of its length at rest has no direction.
 SHORTEST = 1e-3
@@ -28,14 +31,18 @@ FARTHEST = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """first: (S,) the point that a spring belongs to; apart: (S, 3) from it to the other one at rest [m];
-    length: (S,) [m]; rank: (S,) of those that are not whole, their place among the point's, up to 1, 0 for
-    whole ones; across: (S, n) sparse, the other point less the first."""
+    """Of S springs: first: (S,) the point that each belongs to; rank: (S,) of those that are not whole, their
+    place among the point's, up to 1, 0 for whole ones; pair: (S,) the pair of points that it joins.
+    Of P pairs: ends: (P, 2) points; apart: (P, 3) from one to the other at rest [m]; length: (P,) [m]; count:
+    (P,) springs of each; across: (P, n) sparse, one point less the other."""
 
     first: np.ndarray
+    rank: np.ndarray
+    pair: np.ndarray
+    ends: np.ndarray
     apart: np.ndarray
     length: np.ndarray
-    rank: np.ndarray
+    count: np.ndarray
     across: csr_matrix
 
     @classmethod
@@ -45,39 +52,54 @@ class Springs:
         _, index = cKDTree(rest).query(rest, count + 1)
         first, second = np.repeat(np.arange(len(rest)), count), index[:, 1:].ravel()
         beyond = np.maximum(np.tile(np.arange(count), len(rest)) - WHOLE + 1, 0)
-        rows = np.tile(np.arange(len(first)), 2)
-        sign = np.r_[-np.ones(len(first)), np.ones(len(first))]
-        across = csr_matrix((sign, (rows, np.r_[first, second])), shape=(len(first), len(rest)))
-        apart = rest[second] - rest[first]
-        length = np.linalg.norm(apart, axis=1)
-        return cls(first, apart, length, beyond / max(count - WHOLE, 1), across)
+        both = np.sort(np.stack([first, second], axis=1), axis=1)
+        ends, pair, shared = np.unique(both, axis=0, return_inverse=True, return_counts=True)
+        rows = np.tile(np.arange(len(ends)), 2)
+        sign = np.r_[-np.ones(len(ends)), np.ones(len(ends))]
+        across = csr_matrix((sign, (rows, ends.T.ravel())), shape=(len(ends), len(rest)))
+        apart = rest[ends[:, 1]] - rest[ends[:, 0]]
+        rank, length = beyond / max(count - WHOLE, 1), np.linalg.norm(apart, axis=1)
+        return cls(first, rank, pair.ravel(), ends, apart, length, shared, across)
 
     def stiffness(self, k: np.ndarray, softness: float) -> np.ndarray:
-        """(S,) K of every spring, its weight included [1/s^2]. k: (n,)."""
-        return 10.0 ** k[self.first] / self.length * np.clip(2.0 - self._power(softness), 0.0, 1.0)
+        """(P,) K of the springs of every pair, their weights included [1/s^2]. k: (n,)."""
+        return np.bincount(self.pair, self._own(k) * np.clip(2.0 - self._power(softness), 0.0, 1.0))
+
+    def _own(self, k: np.ndarray) -> np.ndarray:
+        """(S,) K of every spring that is whole."""
+        return 10.0 ** k[self.first] / self.length[self.pair]
 
     def _power(self, softness: float) -> np.ndarray:
         return np.exp(np.logaddexp(0.0, softness) * self.rank)
 
-    def stiffness_slopes(
-        self, k: np.ndarray, softness: float, bar: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """Gradient by k (n,) and by the softness, for that by the stiffness, (S,)."""
-        own = bar * self.stiffness(k, softness) * np.log(10.0)
-        power = self._power(softness)
+    def stiffness_slopes(self, k: np.ndarray, softness: float, bar: np.ndarray) -> tuple[np.ndarray, float]:
+        """Gradient by k (n,) and by the softness, for that by the stiffness, (P,)."""
+        own, power = bar[self.pair] * self._own(k), self._power(softness)
+        by_k = own * np.clip(2.0 - power, 0.0, 1.0) * np.log(10.0)
         moved = np.where(power < 2.0, -power * self.rank / (1.0 + np.exp(-softness)), 0.0)
-        by_softness = np.sum(bar * 10.0 ** k[self.first] / self.length * moved)
-        return np.bincount(self.first, own, minlength=len(k)), float(by_softness)
+        return np.bincount(self.first, by_k, minlength=len(k)), float(np.sum(own * moved))
+
+    def friction(self, damping: float) -> np.ndarray:
+        """(P,) damping of the springs of every pair [1/s]."""
+        return damping * self.count / self.length
 
     def longest_step(self, stiffness: np.ndarray, damping: float) -> float:
-        """Longest step that is stable about rest [s]: squared frequencies, and damping rates, are below twice
-        the largest of the sums of a point's springs."""
+        """Longest step that is stable about rest [s], by the largest squared frequency and damping rate. They
+        are those of free points, which holding some of them does not raise."""
         direction = self.apart / self.length[:, None]
-        block = stiffness[:, None] * (direction[:, :, None] * direction[:, None]).reshape(-1, 9)
-        ends = abs(self.across).T
-        rate = 2.0 * float(np.linalg.eigvalsh((ends @ block).reshape(-1, 3, 3)).max())
-        friction = 2.0 * float((ends @ (damping / self.length)).max())
+        rate = self._largest(stiffness[:, None, None] * direction[:, :, None] * direction[:, None])
+        friction = self._largest(self.friction(damping)[:, None, None])
         return SAFETY * (-friction + np.sqrt(friction**2 + 4.0 * rate)) / rate
+
+    def _largest(self, block: np.ndarray) -> float:
+        """Largest eigenvalue of the matrix that has block (P, c, c) between the ends of every pair."""
+        points, size = self.across.shape[1], block.shape[1]
+        matrix = np.zeros((points, points, size, size))
+        one, other = self.ends.T
+        for row, column, sign in ((one, one, 1), (other, other, 1), (one, other, -1), (other, one, -1)):
+            np.add.at(matrix, (row, column), sign * block)
+        whole = matrix.swapaxes(1, 2).reshape(points * size, points * size)
+        return float(eigh(whole, eigvals_only=True, subset_by_index=[len(whole) - 1] * 2)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +156,17 @@ class SpringRun:
             if not np.abs(self.place[step] - start).max() < limit:
                 raise SimulationError("springs: the motion diverges")
 
+    @cached_property
+    def _friction(self) -> np.ndarray:
+        return self.springs.friction(self.damping)[:, None]
+
     @property
     def frames(self) -> np.ndarray:
         """(F + 1,) steps at the start and at the ends of the intervals."""
         return np.r_[0, np.cumsum(self.course.steps)]
 
     def _stretched(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Direction (S, 3), length [m], stretch and its root (S,) of all springs."""
+        """Direction (P, 3), length [m], stretch and its root (P,) of all pairs."""
         d = self.springs.across @ x
         rest = self.springs.length
         length = np.maximum(np.sqrt(np.einsum("sc,sc->s", d, d)), SHORTEST * rest)
@@ -148,17 +174,18 @@ class SpringRun:
         return d / length[:, None], length, stretch, np.sqrt(1.0 + np.abs(stretch))
 
     def _forces(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(S, 3) force of each spring on its second point, with the other sign [m/s^2]."""
+        """(P, 3) force of each pair's springs on its second point, with the other sign [m/s^2]."""
         direction, length, stretch, root = self._stretched(x)
         along = -self.stiffness * stretch * self.springs.length * root
-        slowed = (self.damping / self.springs.length)[:, None] * (self.springs.across @ v)
+        slowed = self._friction * (self.springs.across @ v)
         return -(along[:, None] * direction) + slowed
 
     def gradient(self, bar: np.ndarray) -> tuple[np.ndarray, float]:
-        """Gradient by the stiffness (S,) and by the damping, of a loss whose derivative by the places at
+        """Gradient by the stiffness (P,) and by the damping, of a loss whose derivative by the places at
         `frames` is bar, (F + 1, n, 3)."""
         springs, rest, course = self.springs, self.springs.length, self.course
         back = springs.across.T.tocsr()
+        slowed, alone = self._friction, springs.friction(1.0)[:, None]
         by_stiffness, by_damping = np.zeros_like(self.stiffness), 0.0
         x_bar, v_bar = np.zeros((2, *self.place.shape[1:]))
         step = len(self.place) - 1
@@ -178,8 +205,7 @@ class SpringRun:
                 slope = self.stiffness * (root + 0.5 * np.abs(stretch) / root)
                 across = self.stiffness * away * root / length
                 d_bar = across[:, None] * f_bar + ((slope - across) * along)[:, None] * direction
-                slowed = (self.damping / rest)[:, None]
-                by_damping += float(np.sum(f_bar * (springs.across @ v) / rest[:, None]))
+                by_damping += float(np.sum(f_bar * (springs.across @ v) * alone))
                 x_bar = x_bar + back @ d_bar
                 v_bar = v_bar + back @ (slowed * f_bar)
         return by_stiffness, by_damping

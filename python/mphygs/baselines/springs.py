@@ -161,4 +161,4 @@ def _usual(belief: Belief, capture: Capture, springs: Springs) -> float:
         for part in capture.parts
     )
     count = min(SPRINGS, len(np.unique(springs.first)) - 1)
-    return float(np.log10(10.0 * ratio / volume / (count * springs.length.mean())))
+    return float(np.log10(10.0 * ratio / volume / (count * springs.length[springs.pair].mean())))

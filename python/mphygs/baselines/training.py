@@ -35,14 +35,16 @@ Measure = Callable[[Mapping[str, np.ndarray], int], tuple[float, Values]]
 @dataclass(frozen=True)
 class Plan:
     """rates: longest step of each of the numbers by name; stages of so many iterations each; best: the values
-    of least cost are kept, else the last (where every cost is of another sample); horizon: name of a stage
-    and the iteration from which costs are of more frames than before, so that older ones say nothing."""
+    of least cost are kept, else the last (where every cost is of another sample); begins: iterations from
+    which costs are of more frames than before, so that older ones say nothing; pictures: whether costs are
+    losses of pictures, else half a mean square over the noise."""
 
     rates: Mapping[str, float]
     stages: int
     iterations: int
     best: bool = True
     begins: tuple[int, ...] = ()
+    pictures: bool = False
 
 
 @dataclass
@@ -115,7 +117,8 @@ def train(
         _write(path, state, constants, complete=done)
         run = _with_history(run, state, plan, name)
         run.save()
-        line = f"{name}: iteration {len(state.costs)} of {total}, misfit {_misfit(state.costs[-1]):.4g}"
+        said = _said(state.costs[-1], plan.pictures)
+        line = f"{name}: iteration {len(state.costs)} of {total}, {said}"
         progress(len(state.costs) / total, line)
     return run
 
@@ -144,9 +147,11 @@ def _one(
 
 
 def begun_at(
-    values_at: Callable[[float], Values], cost_of: Callable[[Values], float], progress: Progress, *, name: str
-) -> Values:
-    """Values of the stiffness that costs least of a few. values_at: of a power of ten times the usual one.
+    values_at: Callable[[float], Values], cost_of: Callable[[Values], float], progress: Progress, *,
+    name: str, pictures: bool = False,
+) -> Values:  # fmt: skip
+    """Values of the stiffness that costs least of a few. values_at: of a power of ten times the usual one;
+    pictures: as of `Plan`.
 
     Raises SimulationError where none can be run.
     """
@@ -158,7 +163,7 @@ def begun_at(
             cost = cost_of(values)
         except SimulationError:
             continue
-        progress(0.0, f"{name}: 10^{power:+.2f} times as stiff as usual, misfit {_misfit(cost):.4g}")
+        progress(0.0, f"{name}: 10^{power:+.2f} times as stiff as usual, {_said(cost, pictures)}")
         worse += 1
         if best is None or cost < best[0]:
             best, worse = (cost, values), 0
@@ -209,7 +214,7 @@ def _with_history(run: Run, state: Trained, plan: Plan, name: str) -> Run:
     for k, seconds in enumerate(state.seconds):
         costs = state.costs[k * plan.iterations : (k + 1) * plan.iterations]
         last = k + 1 == plan.stages
-        lowest = _misfit(min(costs))
+        lowest = 0.0 if plan.pictures else _misfit(min(costs))
         own.append(
             StageRecord(
                 f"{name} {k + 1}", run.settings.spacing, tuple(costs), last, "planned", seconds, lowest
@@ -221,6 +226,10 @@ def _with_history(run: Run, state: Trained, plan: Plan, name: str) -> Run:
 def _misfit(cost: float) -> float:
     """Root mean square of what is left [sigma], of a cost that is half its mean square."""
     return float(np.sqrt(2.0 * max(cost, 0.0)))
+
+
+def _said(cost: float, pictures: bool) -> str:
+    return f"loss {cost:.5f}" if pictures else f"misfit {_misfit(cost):.4g}"
 
 
 def _copy(values: Mapping[str, np.ndarray]) -> Values:

@@ -67,9 +67,9 @@ class FitOptions(CommonOptions):
     baseline: Baseline | None = None
     """What others do, on this capture, in the method's place: homogeneous (one material, of a capture in
     pictures fitted to silhouettes alone), springs (between anchors), neural (the elastic model and a residual
-    network), graph (a graph network), field (E as a smooth field), laws (a mixture of laws in every group of
-    points), prior (of a capture in pictures: materials by looks, no fit). `compare`, `predict` and `report`
-    take its run."""
+    network), graph (a graph network), field (E as a smooth field, of a capture in pictures fitted to these
+    alone), laws (a mixture of laws in every group of points), prior (of a capture in pictures: materials by
+    looks, no fit). `compare`, `predict` and `report` take its run."""
     feedback: Annotated[float | None, tyro.conf.arg(metavar="[GAIN]")] = None
     """Also the error of the fitted model under feedback from the measurement, beside the free one. Gain from
     0 to 1, without a number 1: a memory of two frames."""
