@@ -391,6 +391,12 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
 }
 
 template <class T>
+double TotalLagrangian<T>::extent() const {
+    const Eigen::Map<const Eigen::Matrix<double, 3, Eigen::Dynamic>> x(node_positions_.data(), 3, static_cast<Eigen::Index>(node_count()));
+    return (x.rowwise().maxCoeff() - x.rowwise().minCoeff()).norm();
+}
+
+template <class T>
 PointWeights TotalLagrangian<T>::weights(const std::vector<double>& points, const std::vector<std::int32_t>& cell) const {
     require(points.size() == cell.size(), "points and cell must both be (M, 3)");
     PointWeights w;

@@ -120,7 +120,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     // Where strains are next to nothing round-off is all that the law's stress says of its moduli; in float32 the looser
     // tolerance allows for that.
     std::vector<double> noise(count, 0.0);
-    const double spread = m.matrix.size(value_.by_node(value_.u_)) + model_.geometry_.spacing[0];
+    const double spread = m.matrix.size(value_.by_node(value_.u_)) + m.length;
     for (std::size_t k = 0; k < count && Tolerance::round_off < 1e-10; ++k) {
         noise[k] = Tolerance::noise_loose * spread * stiffer(k) / dt;
     }

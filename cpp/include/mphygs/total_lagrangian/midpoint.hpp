@@ -36,6 +36,7 @@ inline void TotalLagrangianRun<T, K>::prepare_midpoint() {
     std::vector<double> mass(mass_.begin(), mass_.begin() + static_cast<std::ptrdiff_t>(nodes));
     midpoint_ = std::make_unique<MidpointState<T>>(
         MidpointMatrix(model_.geometry_, model_.node_index_, model_.constraint_node_, cells, std::move(mass)));
+    midpoint_->length = prestressed_ ? model_.extent() : model_.geometry_.spacing[0];
     midpoint_->columns = model_.midpoint_columns(*inputs_.primal, schedule_, *team_);
 }
 
@@ -120,7 +121,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     m.history0 = history_;
     m.mixed.forget();
     const std::vector<T> start_u = u_, start_v = v_;
-    const double spread = m.matrix.size(by_node(u_)) + model_.geometry_.spacing[0], infinite = std::numeric_limits<double>::infinity();
+    const double spread = m.matrix.size(by_node(u_)) + m.length, infinite = std::numeric_limits<double>::infinity();
     const auto rest_at = [&](const Eigen::VectorXd& at) -> Eigen::VectorXd {
         midpoint_map(at, n, frame, time, dt);
         return by_node(v_) - at;

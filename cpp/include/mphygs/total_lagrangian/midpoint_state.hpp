@@ -45,6 +45,8 @@ struct MidpointState {
     std::vector<Pack<T>> history0, history1;  // before it and after it
     std::vector<double> impulse;               // (3, rows) half of what every row of the holds gives [N s]
     Eigen::VectorXd ahead;                     // how the last step's velocity changed, none at the start
+    // Of what is rounded: a cell's strains vanish at rest, but with prestress every one of them is a difference of ones.
+    double length = 0;                         // [m]
     double factors_dt = 0;                     // step that the factors belong to [s], 0: there are none
     bool stale = true;                         // whether the next step needs factors of its own
 

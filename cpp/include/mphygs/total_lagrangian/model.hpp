@@ -90,6 +90,9 @@ class TotalLagrangian {
     /// linearised model at rest, by power iteration. Channels of an actuation are those of one interval, at its start.
     std::array<double, 2> largest_rates(const Fields<T>& fields, int iterations = 60, const PointHook<T>* hook = nullptr) const;
 
+    /// Diagonal of the box around all nodes [m].
+    double extent() const;
+
     /// Checks the sizes of all inputs; std::invalid_argument names the one that is wrong.
     void check(const Fields<T>& fields, const Schedule& schedule, const Observer* observer = nullptr) const;
     /// The same for all inputs that do not depend on the schedule.
