@@ -143,6 +143,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     }
     bool of_start = false;                             // whether `way` is of the start's matrix
     int quick = 0;                                     // iterations that old factors did
+    bool untried = false;                              // whether all of `way` has just been gone
     bool fast = true;                                  // else from `best` along `way`, as far as forces drive along it
     double least = infinite, share = 1.0, drive = 0.0;  // size of the correction at `best`; share of `way`; what drives there
     for (int i = 0; i < most; ++i) {
@@ -179,8 +180,8 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         good = good && std::isfinite(size);
         const bool better = good && size <= 0.9 * least;
         if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
-                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::noise_loose * spread) ||
-                     (!fast && size <= 3 * Tolerance::noise_loose * spread))) {
+                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::settled * spread) ||
+                     (!fast && size <= 3 * Tolerance::settled * spread))) {
             m.stale = m.stale || i > slow_step;
             m.impulse = lambda_rows_;
             return;
@@ -188,15 +189,23 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         if (fast && better && ++quick < patience) {
             best = x;
             least = size;
+            untried = false;
             x = m.mixed.next(x, d);
             continue;
         }
         if (fast) {
             fast = false;
             quick = 0;
-            share = 1.0;
-            way.resize(0);
             m.mixed.forget();
+            if (untried) {  // Newton's own step was too long
+                untried = false;
+                share = 0.5;
+                x = best + share * way;
+                continue;
+            }
+            share = 1.0;
+            least = infinite;
+            way.resize(0);
             by_component(best, v_);  // as it is, but for the holds
             if (constraint_[0].row_count() > 0) {
                 hold_lanes<0, 1>(n, rule.reach * dt);
@@ -211,7 +220,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         way = d;
         rest_there = rest;
         drive = work(d, rest);
-        fast = share == 1.0 && size < 0.1 * moves && better;
+        fast = untried = share == 1.0 && size < 0.1 * moves && better;
         least = size;
         share = 1.0;
         x = best + way;
