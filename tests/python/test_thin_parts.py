@@ -99,6 +99,7 @@ def test_frequencies_of_a_clamped_strip_converge() -> None:
     assert errors[1][0] < errors[0][0]
 
 
+@pytest.mark.slow
 def test_rod_shell_and_solid_of_one_cantilever_agree() -> None:
     found = {}
     for shape, spacing in (("solid", 6e-4), ("shell", 1.5e-3), ("rod", 1e-3)):
@@ -173,6 +174,7 @@ def test_slopes_are_those_of_differences_and_of_the_adjoint(kind: str) -> None:
         assert gradient[number] == pytest.approx((weights * own).sum(), rel=1e-6), key
 
 
+@pytest.mark.slow
 def test_energy_is_kept_but_for_what_pairs_of_steps_take() -> None:
     # A thousandth of critical damping takes more; the release leaves a twentieth in the higher modes.
     length = 0.1
