@@ -12,8 +12,10 @@ from scipy.integrate import solve_bvp
 from bar_capture import bar_belief
 from mphygs.capture.format import Capture
 from mphygs.capture.meshes import Part
+from mphygs.fit.spacings import DEFAULT_CELLS, default_spacing
 from mphygs.model.belief import Belief
 from mphygs.scene.curved_quadrature import chosen_shape, lay_chart
+from mphygs.simulate.held_material import HeldMaterial
 from mphygs.simulate.modes import natural_modes
 from mphygs.simulate.prediction import Predictor, Settings
 from mphygs.simulate.prediction_gradient import predict_with_gradient
@@ -174,6 +176,31 @@ def test_slopes_are_those_of_differences_and_of_the_adjoint(kind: str) -> None:
         assert gradient[number] == pytest.approx((weights * own).sum(), rel=1e-6), key
 
 
+def test_slopes_of_a_leaf_on_a_stem_in_equilibrium_are_those_of_the_adjoint() -> None:
+    frames = 8
+    stem = rod(0.05, 0.002, sides=12)
+    grown = leaf(0.03, 0.02)
+    parts = [stem, replace(grown, name="part1", vertices=grown.vertices + [0.05 - 2e-3, 0.0, 0.0])]
+    motion = np.zeros((frames, 3))
+    motion[:, 2] = 0.004 * np.sin(2 * np.pi * 4.0 * np.arange(frames) / 60.0)
+    capture = held_capture(
+        parts, frames=frames, motion=motion, gravity=[0.0, 0.0, -9.81], rest="equilibrium"
+    )
+    keys = ("part0.youngs_modulus", "part1.youngs_modulus", "part1.density")
+    belief = bar_belief(
+        capture, youngs_modulus=[1e8, 2e7], density=DENSITY, prestress="equilibrium", free=keys
+    )
+    predictor = predictor_of(capture, 0.008)
+    free = [p.key for p in belief.free]
+    found = predictor.predict(belief, keys=free).jacobian
+    weights = np.random.default_rng(0).standard_normal(found.shape[:-1])
+    gradient = predict_with_gradient(predictor, belief, lambda x: weights, keys=keys, last=frames)[1]
+    for number, key in enumerate(keys):
+        own = found[..., free.index(key)]
+        assert np.abs(own).max() > 1e-7, key
+        assert gradient[number] == pytest.approx((weights * own).sum(), rel=1e-5, abs=1e-10), key
+
+
 @pytest.mark.slow
 def test_energy_is_kept_but_for_what_pairs_of_steps_take() -> None:
     # A thousandth of critical damping takes more; the release leaves a twentieth in the higher modes.
@@ -214,6 +241,25 @@ def test_auto_chooses_by_the_cells_that_fit_through() -> None:
     assert chosen_shape(replace(rod(), shape="auto"), 0.005)[0] == "rod"
     assert chosen_shape(replace(rod(), shape="auto"), 0.003)[0] == "solid"
     assert chosen_shape(replace(rod(), shape="solid"), 0.005)[0] == "solid"
+
+
+def test_a_default_grid_counts_sheets_by_their_area() -> None:
+    flat = strip(0.1, 0.05, 2e-4, held=0.0)
+    capture = held_capture([flat])
+    spacing = default_spacing(capture)
+    assert 0.1 * 0.05 / spacing**2 == pytest.approx(DEFAULT_CELLS, rel=0.05)
+    solid = replace(capture, parts=(replace(flat, shape="solid"),))
+    assert default_spacing(solid) == pytest.approx((flat.volume / DEFAULT_CELLS) ** (1 / 3), rel=0.05)
+
+
+@pytest.mark.parametrize("part", [rod(held=0.02), strip(held=0.02)], ids=["rod", "shell"])
+def test_a_hold_carries_the_weight_of_what_it_grips(part: Part) -> None:
+    capture = held_capture([part], gravity=[0.0, 0.0, -9.81])
+    body = predictor_of(capture, 0.005).body
+    held = HeldMaterial.of(body, 0, capture.sequence("a").held[0], 60.0)
+    belief = bar_belief(capture, density=DENSITY)
+    force = held.wrench(belief, np.array([0.0]))[0, 0]
+    np.testing.assert_allclose(force, [0.0, 0.0, 9.81 * DENSITY * part.volume / 6], atol=1e-3 * force[2])
 
 
 def folded() -> Part:

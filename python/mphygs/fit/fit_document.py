@@ -18,6 +18,7 @@ from mphygs.fit.run import Run
 from mphygs.fit.sensitivity import WHY, sensitivity_lines
 from mphygs.fit.tables import errors_text, feedback_lines, parameters_of, parameters_text, text_table
 from mphygs.model.substances import like
+from mphygs.scene.particles import chosen_shape
 from mphygs.simulate.settings import EXPLICIT, IMPLICIT
 
 
@@ -48,6 +49,8 @@ def fit_document(
         more["sensors"] = sensors
     if (name := baseline_of(state)) is not None:
         more["baseline"] = name
+    if shapes := shapes_document(experiment.capture, spacing):
+        more["shapes"] = shapes
     parameters = parameters_of(state, found)
     return more | {
         "run": str(state.folder),
@@ -70,6 +73,12 @@ def fit_document(
             name: {label: ranges[label] for label in ("fit", "predict")} for name, ranges in errors.items()
         },
     }
+
+
+def shapes_document(capture: Capture, spacing: float) -> dict[str, dict[str, str]]:
+    """What parts that are not said to be solids are simulated as on a grid, and why."""
+    chosen = {p.name: chosen_shape(p, spacing) for p in capture.parts if p.shape != "solid"}
+    return {name: {"as": shape, "why": why} for name, (shape, why) in chosen.items()}
 
 
 def _boundary_lines(capture: Capture) -> list[str]:
@@ -95,6 +104,8 @@ def fit_text(state: Run, capture: Capture, *, embedded: bool) -> str:
     if answer.get("like"):
         told = [f"{key.rsplit('.', 1)[0]} {words}" for key, words in answer["like"].items()]
         lines[1:1] = ["by its stiffness: " + ", ".join(told)]
+    if answer.get("shapes"):
+        lines += [f"{name}: a {told['as']}, {told['why']}" for name, told in answer["shapes"].items()] + [""]
     if answer.get("sensitivity"):
         lines += [WHY, text_table(sensitivity_lines(answer["sensitivity"], answer["parameters"])), ""]
     if state.stages is not None:

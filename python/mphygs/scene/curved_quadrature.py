@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,6 @@ from mphygs.scene.rod_chart import centre_line, rod_chart
 from mphygs.scene.shell_chart import shell_chart
 
 if TYPE_CHECKING:
-    from mphygs.scene.middle_surface import Chords
     from mphygs.scene.quadrature import Quadrature
 
 # Columns to a cell that it spans alone, and pieces that a column is tested in for being held.
@@ -40,17 +40,31 @@ def chosen_shape(part: Part, spacing: float) -> tuple[str, str]:
     """
     if part.shape != "auto":
         return part.shape, "as its capture says"
-    across: Chords = chords(part)
-    thickness = across.usual
+    thickness, width, _ = _sizes(part)
     told = f"{1e3 * thickness:.3g} mm thick, {thickness / spacing:.2g} of a cell"
     if thickness >= SMALLEST * spacing:
         return "solid", told
-    # The longest way along a thin part, and what its volume leaves for the third one.
-    size = np.linalg.norm(np.ptp(part.vertices, axis=0))
-    width = part.volume / (thickness * size)
     if width < 2.0 * spacing:
         return "rod", f"{told}, {1e3 * width:.3g} mm wide"
     return "shell", told
+
+
+@lru_cache(maxsize=256)
+def _sizes(part: Part) -> tuple[float, float, float]:
+    """Thickness, width and length of a thin part [m]: the usual chord, and of the longest way through its
+    bounds what its volume leaves for the third one."""
+    thickness = chords(part).usual
+    length = float(np.linalg.norm(np.ptp(part.vertices, axis=0)))
+    return thickness, part.volume / (thickness * length), length
+
+
+def cell_count(part: Part, spacing: float) -> float:
+    """Cells of a spacing [m] that a part's material is worth: of its volume, its sheet or its line."""
+    shape = chosen_shape(part, spacing)[0]
+    if shape == "solid":
+        return part.volume / spacing**3
+    thickness, _, length = _sizes(part)
+    return length / spacing if shape == "rod" else part.volume / (thickness * spacing**2)
 
 
 def lay_chart(part: Part, spacing: float, gripped: Sequence[np.ndarray] = ()) -> Chart | None:

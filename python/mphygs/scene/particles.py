@@ -1,7 +1,7 @@
 """From part meshes to what the simulation needs of them at rest: one door to the files that do it."""
 
 from mphygs.scene.closest import MaterialAnchor, closest_material
-from mphygs.scene.curved_quadrature import chosen_shape, lay_chart, rods_doubled
+from mphygs.scene.curved_quadrature import cell_count, chosen_shape, lay_chart, rods_doubled
 from mphygs.scene.holding import HoldFace, hold_face
 from mphygs.scene.joints import Joint, find_joints
 from mphygs.scene.quadrature import Quadrature, fill, fill_each
@@ -14,6 +14,7 @@ __all__ = [
     "MaterialAnchor",
     "Quadrature",
     "SurfaceSamples",
+    "cell_count",
     "chosen_shape",
     "closest_material",
     "exposed_surface",

@@ -10,7 +10,7 @@ import numpy as np
 from mphygs.capture.holds import Hold
 from mphygs.capture.meshes import Part
 from mphygs.model.belief import Belief
-from mphygs.scene.particles import Quadrature, fill
+from mphygs.scene.particles import Quadrature, fill, fill_each
 from mphygs.scene.slivers import merge_slivers
 from mphygs.simulate.body import Body
 from mphygs.simulate.discretisation import SMALLEST_SHARE
@@ -32,8 +32,10 @@ class HeldMaterial:
     @classmethod
     def of(cls, body: Body, number: int, hold: Hold, fps: float) -> HeldMaterial:
         """Of the hold of a number, on whose box a body was built."""
-        spacing = float(np.min(body.quadrature.spacing))
-        inside = enclosed(body.parts, body.boxes, number, spacing)
+        if body.curved:
+            inside = enclosed_on(body, number)
+        else:
+            inside = enclosed(body.parts, body.boxes, number, float(np.min(body.quadrature.spacing)))
         return cls(replace(body, quadrature=inside), hold, fps)
 
     @property
@@ -82,6 +84,20 @@ def enclosed(
         origin_offset=shift,
     )
     return merge_slivers(held, share=SMALLEST_SHARE)
+
+
+def enclosed_on(body: Body, number: int) -> Quadrature:
+    """The same on the grids that rods and shells have: columns of a lattice may miss what is thin."""
+    vertices = np.concatenate([part.vertices for part in body.parts])
+    around = outside(body.boxes[number], vertices.min(0), vertices.max(0))
+    charts = body.quadrature.charts
+    lattices = [s.min() for s, chart in zip(body.quadrature.spacings, charts, strict=True) if chart is None]
+    return fill_each(
+        body.parts,
+        spacing=float(min(lattices, default=np.max(body.quadrature.spacings))),
+        exclude_boxes=np.concatenate([around, body.boxes[:number]]),
+        charts=charts,
+    )
 
 
 def outside(box: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@
 
 #include <Eigen/Dense>
 #include <cmath>
-#include <limits>
 #include <stdexcept>
 
 #include "mphygs/total_lagrangian/spline_tables.hpp"

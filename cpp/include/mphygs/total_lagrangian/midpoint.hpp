@@ -179,9 +179,12 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         const double size = dt * m.matrix.size(d), moves = dt * m.matrix.size(x);
         good = good && std::isfinite(size);
         const bool better = good && size <= 0.9 * least;
+        // Newton's own step has been gone, or no matrix leads downhill.
+        const bool no_smaller = good && ((untried && !better) || (!fast && !(work(d, rest) > 0.0)));
         if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
-                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::settled * spread) ||
-                     (!fast && size <= 3 * Tolerance::settled * spread))) {
+                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::noise_loose * spread) ||
+                     (!fast && size <= 3 * Tolerance::noise_loose * spread) ||
+                     (no_smaller && size <= Tolerance::half_digits() * moves))) {
             m.stale = m.stale || i > slow_step;
             m.impulse = lambda_rows_;
             return;

@@ -11,6 +11,7 @@ template <class T>
 inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 100, patience = 25, slow_step = 8;
+    constexpr double few = 10.0;  // times round-off, which is measured once and not alike each time
     const SubstepRule rule = run_.rule(n);
     const double dt = step_dt_[index(n)], middle = step_time_[index(n)] + rule.at * dt;
     const T h = static_cast<T>(dt), span = static_cast<T>(rule.span * dt);
@@ -72,6 +73,13 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
     const auto size = [&](const Eigen::VectorXd& x) { return std::sqrt((x.array() * weight.array() * x.array()).sum()); };
     Anderson mixed(weight, 20);
     Eigen::VectorXd x = m.matrix.solve_transposed(b);
+    // Phi backwards is b + L x: what a multiple of x changes beside the same multiple of that change is round-off, of terms that
+    // cancel. With factors of this very step nothing else keeps a correction from getting smaller.
+    const auto round_off = [&] {
+        const double more = 0.1;
+        const Eigen::VectorXd own = reversed(x);
+        return size(m.matrix.solve_transposed(reversed((1.0 + more) * x) - (1.0 + more) * own + more * b));
+    };
     double before = std::numeric_limits<double>::infinity();
     bool fresh = false;
     int i = 0;
@@ -83,10 +91,13 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         if (now == 0.0 || now * rate <= Tolerance::linear * moves || (rate > 0.5 && now <= Tolerance::linear_loose * moves)) {
             break;
         }
+        if (rate > 0.5 && fresh && now <= few * round_off()) {
+            break;
+        }
         if (!x.allFinite() || i == most) {
             throw SimulationError("the adjoint of the implicit step does not converge at t = " + std::to_string(step_time_[index(n)]) + " s");
         }
-        if (i == patience && !fresh) {
+        if (!fresh && (i == patience || (i > slow_step && rate > 0.5))) {
             m.refresh(middle, dt, rule.span * dt);
             fresh = true;
             mixed.forget();

@@ -28,11 +28,12 @@ template <class T>
 struct MidpointTolerance {
     static constexpr double round_off = std::numeric_limits<T>::epsilon();
     static constexpr double tight = round_off > 1e-10 ? 1e-5 : 1e-11, loose = 100 * tight;
-    static constexpr double linear = round_off > 1e-10 ? 1e-6 : 1e-12, linear_loose = round_off > 1e-10 ? 1000 * linear : 1e5 * linear;
+    static constexpr double linear = round_off > 1e-10 ? 1e-6 : 1e-12, linear_loose = 1000 * linear;
     // Of the nodes' distances: a slender body makes a deflection of what is rounded in its strains.
     static constexpr double noise_loose = 1000 * round_off;
-    // Of the motion itself, in float64: ten times as much, picometres of a flower, where nothing makes a correction smaller.
-    static constexpr double settled = round_off > 1e-10 ? noise_loose : 10 * noise_loose;
+    /// Half of the digits, of what moves: from here Newton's own step squares what is left, which is then less than round-off.
+    /// Where a step by factors made on the spot does not make a correction smaller, round-off is what it is.
+    static double half_digits() { return std::sqrt(round_off); }
 };
 
 template <class T>

@@ -149,6 +149,7 @@ class TotalLagrangian {
     /// Of the matrix of implicit steps. All given must live longer.
     std::unique_ptr<MidpointColumns<T>> midpoint_columns(const Fields<T>& fields, const Schedule& schedule, Team& team) const;
     std::array<std::int32_t, 9> rows_of(const std::int32_t* cell) const;
+    void place_curved_nodes();
     bool is_curved(int i) const;  // the grid of the cell or node at i along the first axis
     CurvedCell curved_cell(const std::int32_t* cell) const;
     /// Where in its cell a point is, in spacings from the cell's node.
