@@ -64,7 +64,7 @@ void bind(py::module_& m, const char* name) {
         .def("implicit_cost",
              [](const Model& self) {
                  const MidpointCost cost = midpoint_cost(self);
-                 return py::make_tuple(cost.columns, cost.factors, cost.entries);
+                 return py::make_tuple(cost.iteration, cost.renewal);
              })
         .def_property(
             "threads", [](const Model& self) { return self.settings().threads; }, &Model::set_threads)

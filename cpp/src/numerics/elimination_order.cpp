@@ -61,12 +61,15 @@ std::vector<std::vector<int>> levels_from_an_end(const VertexGraph& graph, int v
     }
 }
 
-/// Of unknowns by threes: a vertex that stands for many counts for as much.
-std::vector<int> least_degree(const VertexGraph& graph) {
+bool comes_last(const VertexGraph& graph, int v) { return !graph.last.empty() && graph.last[static_cast<std::size_t>(v)]; }
+
+/// Of unknowns by threes: a vertex that stands for many counts for as much. all: also of what comes last anyway.
+std::vector<int> least_degree(const VertexGraph& graph, bool all) {
     std::vector<int> first, of;
     for (int v = 0; v < graph.count(); ++v) {
         first.push_back(static_cast<int>(of.size()));
-        of.insert(of.end(), static_cast<std::size_t>(graph.weight[static_cast<std::size_t>(v)] + 2) / 3, v);
+        const int weight = all || !comes_last(graph, v) ? graph.weight[static_cast<std::size_t>(v)] : 0;
+        of.insert(of.end(), static_cast<std::size_t>(weight + 2) / 3, v);
     }
     first.push_back(static_cast<int>(of.size()));
     std::vector<Eigen::Triplet<double>> entries;
@@ -115,6 +118,29 @@ std::vector<int> far_ends_first(const VertexGraph& graph) {
     }
     std::reverse(order.begin(), order.end());
     return order;
+}
+
+/// An order of the vertices in which those that come last follow the last one that they are beside.
+std::vector<int> postponed(const VertexGraph& graph, const std::vector<int>& order) {
+    std::vector<int> wanted(graph.weight.size(), 0), to;
+    for (int v = 0; v < graph.count(); ++v) {
+        wanted[static_cast<std::size_t>(v)] = static_cast<int>(graph.beside[static_cast<std::size_t>(v)].size());
+        if (comes_last(graph, v) && wanted[static_cast<std::size_t>(v)] == 0) {
+            to.push_back(v);
+        }
+    }
+    for (const int v : order) {
+        if (comes_last(graph, v)) {
+            continue;
+        }
+        to.push_back(v);
+        for (const int w : graph.beside[static_cast<std::size_t>(v)]) {
+            if (comes_last(graph, w) && --wanted[static_cast<std::size_t>(w)] == 0) {
+                to.push_back(w);
+            }
+        }
+    }
+    return to;
 }
 
 }  // namespace
@@ -217,8 +243,19 @@ EliminationTree elimination_tree(const VertexGraph& graph, const std::vector<int
 }
 
 EliminationTree cheapest_elimination(const VertexGraph& graph) {
-    EliminationTree limbs = elimination_tree(graph, far_ends_first(graph)), degrees = elimination_tree(graph, least_degree(graph));
-    return degrees.work < limbs.work ? degrees : limbs;
+    EliminationTree best;
+    const auto offer = [&](const std::vector<int>& order) {
+        EliminationTree tree = elimination_tree(graph, postponed(graph, order));
+        if (best.fronts.empty() || tree.work < best.work) {
+            best = std::move(tree);
+        }
+    };
+    offer(far_ends_first(graph));
+    offer(least_degree(graph, true));
+    if (!graph.last.empty()) {
+        offer(least_degree(graph, false));
+    }
+    return best;
 }
 
 }  // namespace mphygs

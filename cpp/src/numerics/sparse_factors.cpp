@@ -30,7 +30,7 @@ VertexGraph graph_of(const Eigen::SparseMatrix<double>& matrix, const std::vecto
 
 }  // namespace
 
-void SparseFactors::analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<std::vector<int>>& vertices) {
+void SparseFactors::analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<std::vector<int>>& vertices, std::vector<bool> last) {
     const std::size_t n = static_cast<std::size_t>(matrix.rows());
     std::vector<int> vertex_of(n, -1);
     for (std::size_t v = 0; v < vertices.size(); ++v) {
@@ -38,7 +38,9 @@ void SparseFactors::analyse(const Eigen::SparseMatrix<double>& matrix, const std
             vertex_of[static_cast<std::size_t>(i)] = static_cast<int>(v);
         }
     }
-    const EliminationTree tree = cheapest_elimination(graph_of(matrix, vertices, vertex_of));
+    VertexGraph graph = graph_of(matrix, vertices, vertex_of);
+    graph.last = std::move(last);
+    const EliminationTree tree = cheapest_elimination(graph);
     work_ = tree.work;
     fronts_.assign(tree.fronts.size(), {});
     order_.clear();

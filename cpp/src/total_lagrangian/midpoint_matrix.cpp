@@ -1,42 +1,23 @@
 #include "mphygs/total_lagrangian/midpoint_matrix.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <map>
 
-#include "mphygs/total_lagrangian/saddle_vertices.hpp"
-
 namespace mphygs {
 
-namespace {
-
-// Two nodes with a common neighbour are less than this apart along every axis of their grid.
-constexpr int apart = 5;
-
-}  // namespace
-
-MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t>& node_index, const std::vector<std::int32_t>& node,
-                               const std::vector<std::int32_t>& cells, std::vector<double> mass) {
+MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass) {
     const std::size_t count = mass.size();
     mass_.resize(static_cast<Eigen::Index>(3 * count));
     for (Eigen::Index i = 0; i < mass_.size(); ++i) {
         mass_[i] = mass[static_cast<std::size_t>(i / 3)];
     }
     weight_ = 3.0 / mass_.sum() * mass_;
-    std::map<std::array<int, 3>, std::vector<int>> colour;
-    for (std::size_t n = 0; n < count; ++n) {
-        const auto of = [](int i) { return ((i % apart) + apart) % apart; };
-        colour[{of(g.standing(node_index[3 * n])), of(node_index[3 * n + 1]), of(node_index[3 * n + 2])}].push_back(static_cast<int>(n));
-    }
-    for (auto& [where, nodes] : colour) {
-        nodes_of_.push_back(std::move(nodes));
-    }
     std::vector<std::vector<int>> beside(count);
-    for (std::size_t first = 0; first < cells.size(); first += 27) {
-        for (std::size_t a = first; a < first + 27; ++a) {
-            beside[static_cast<std::size_t>(cells[a])].insert(beside[static_cast<std::size_t>(cells[a])].end(), cells.begin() + static_cast<std::ptrdiff_t>(first),
-                                                              cells.begin() + static_cast<std::ptrdiff_t>(first + 27));
+    for (const CellNodes& cell : cells) {
+        for (const std::int32_t a : cell) {
+            std::vector<int>& own = beside[static_cast<std::size_t>(a)];
+            own.insert(own.end(), cell.begin(), cell.end());
         }
     }
     const int first_row = static_cast<int>(3 * count);
@@ -70,15 +51,65 @@ MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t
     rows_.setFromTriplets(rows.begin(), rows.end());
     matrix_.resize(all, all);
     matrix_.setFromTriplets(entries.begin(), entries.end());
-    solver_.analyse(matrix_, saddle_vertices(g, node, count, matrix_));
+    // Every node by itself, and the rows of every hold and joint.
+    std::vector<std::vector<int>> vertices(count);
+    std::vector<bool> last(count, false);
+    for (std::size_t n = 0; n < count; ++n) {
+        vertices[n] = {3 * static_cast<int>(n), 3 * static_cast<int>(n) + 1, 3 * static_cast<int>(n) + 2};
+    }
+    std::map<std::int32_t, std::vector<int>> ties;
+    for (std::size_t r = 0; r < g.row_count(); ++r) {
+        for (int c = 0; c < 3; ++c) {
+            ties[g.row_hold[r]].push_back(first_row + 3 * static_cast<int>(r) + c);
+        }
+    }
+    for (auto& [number, own] : ties) {
+        vertices.push_back(std::move(own));
+        last.push_back(true);
+    }
+    solver_.analyse(matrix_, vertices, std::move(last));
 }
 
-void MidpointMatrix::put(std::size_t colour, int component, const std::vector<double>& sum) {
-    for (const int n : nodes_of_[colour]) {
-        for (Eigen::SparseMatrix<double>::InnerIterator it(matrix_, 3 * n + component); it; ++it) {
-            if (it.row() < nodes3()) {
-                it.valueRef() = sum[static_cast<std::size_t>(it.row())];
+void MidpointMatrix::clear() {
+    for (Eigen::Index column = 0; column < nodes3(); ++column) {
+        for (Eigen::SparseMatrix<double>::InnerIterator it(matrix_, column); it && it.row() < nodes3(); ++it) {
+            it.valueRef() = it.row() == column ? mass_[column] : 0.0;
+        }
+    }
+}
+
+Eigen::Index MidpointMatrix::entry(int row_node, Eigen::Index column) const {
+    const auto* rows = matrix_.innerIndexPtr();
+    const auto *first = rows + matrix_.outerIndexPtr()[column], *end = rows + matrix_.outerIndexPtr()[column + 1];
+    return std::lower_bound(first, end, 3 * row_node) - rows;
+}
+
+template <class T>
+void MidpointMatrix::add(const CellNodes& cell, const CellMatrix<T>& block) {
+    double* values = matrix_.valuePtr();
+    for (int b = 0; b < 27; ++b) {
+        for (int k = 0; k < 3; ++k) {
+            const Eigen::Index column = 3 * cell[static_cast<std::size_t>(b)] + k;
+            Eigen::Index at = 0;
+            for (int a = 0; a < 27; ++a) {
+                const std::int32_t node = cell[static_cast<std::size_t>(a)];
+                at = a > 0 && node == cell[static_cast<std::size_t>(a - 1)] + 1 ? at + 3 : entry(node, column);
+                for (int i = 0; i < 3 && mass_[3 * node] > 0.0; ++i) {  // nodes without mass stay where they are
+                    values[at + i] += static_cast<double>(block(a, 3 * (3 * b + k) + i));
+                }
             }
+        }
+    }
+}
+
+template void MidpointMatrix::add<float>(const CellNodes&, const CellMatrix<float>&);
+template void MidpointMatrix::add<double>(const CellNodes&, const CellMatrix<double>&);
+
+void MidpointMatrix::add(int node, const Eigen::Matrix3d& block) {
+    for (int k = 0; k < 3; ++k) {
+        const Eigen::Index at = entry(node, 3 * node + k);
+        for (int i = 0; i < 3; ++i) {
+            matrix_.valuePtr()[at + i] += block(i, k);
         }
     }
 }

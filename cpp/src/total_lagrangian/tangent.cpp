@@ -119,13 +119,7 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
     return result;
 }
 
-template <class T>
-std::unique_ptr<MidpointColumns<T>> TotalLagrangian<T>::midpoint_columns(const Fields<T>& fields, const Schedule& schedule, Team& team) const {
-    return std::make_unique<DirectionColumns<T, register_lanes<T>>>(*this, fields, schedule, team);
-}
-
 #define MPHYGS_INSTANTIATE(T)                                                                                             \
-    template std::unique_ptr<MidpointColumns<T>> TotalLagrangian<T>::midpoint_columns(const Fields<T>&, const Schedule&, Team&) const; \
     template std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>&, const std::vector<Fields<T>>&,      \
                                                                     const Schedule&, const Progress&, const PointHook<T>*, \
                                                                     const std::vector<Added<T>>&, const Observer*) const;

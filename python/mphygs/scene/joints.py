@@ -165,6 +165,9 @@ def _covered(
     `shortest` where it is near [m].
     """
     points, area, normal = [np.empty((0, 3))], [np.empty(0)], [np.empty((0, 3))]
+    corners = other.vertices[other.faces]
+    tree = cKDTree(corners.mean(axis=1))
+    widest = float(np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max())
     while len(triangles):
         edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
         length = edges.max(1)
@@ -175,7 +178,10 @@ def _covered(
             x[real] for x in (triangles, edges, length, cross, double)
         )
         outward, centre = cross / double[:, None], triangles.mean(1)
-        gap = closest_on_mesh(other.vertices, other.faces, centre)[1]
+        # No nearer than this: how near is asked only where it matters.
+        gap = tree.query(centre)[0] - widest
+        asked = gap <= length + reach
+        gap[asked] = closest_on_mesh(other.vertices, other.faces, centre[asked])[1]
         reached = inside(other, centre + reach * outward) | (gap <= reach)
         near = gap <= length + reach
         split = (near & (length > shortest)) | (reached & (length > longest))

@@ -72,18 +72,22 @@ def chords(part: Part) -> Chords:
 def _through(corners: np.ndarray, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """(n,) ways to the nearest triangle that is seen from its back, infinite where there is none."""
     size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+    middle = corners.reshape(-1, 3).mean(axis=0)  # no digits are lost on where the part is
+    corners, start = corners - middle, start - middle
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(edge, other)
+    height = (corners[:, 0] * normal).sum(-1)
+    by_edge, by_other = np.cross(edge, corners[:, 0]), np.cross(other, corners[:, 0])
     result = np.full(len(start), np.inf)
     chunk = max(1, _AT_ONCE // len(corners))
     for begin in range(0, len(start), chunk):
-        s, d = start[begin : begin + chunk, None], direction[begin : begin + chunk, None]
-        facing = (d * normal).sum(-1)
+        s, d = start[begin : begin + chunk], direction[begin : begin + chunk]
+        # Of the arm from a triangle's corner to the start: arm . normal, and (arm x d) . edge.
+        facing, turn = d @ normal.T, np.cross(s, d)
         with np.errstate(divide="ignore", invalid="ignore"):
-            arm = s - corners[:, 0]
-            way = -(arm * normal).sum(-1) / facing
-            across = np.cross(arm, d)
-            u, v = (across * other).sum(-1) / -facing, (across * edge).sum(-1) / facing
+            way = (height - s @ normal.T) / facing
+            u = (turn @ other.T - d @ by_other.T) / -facing
+            v = (turn @ edge.T - d @ by_edge.T) / facing
             hit = (facing > 0) & (way > 1e-9 * size) & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
         result[begin : begin + chunk] = np.where(hit, way, np.inf).min(axis=1)
     return result

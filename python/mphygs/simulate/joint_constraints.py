@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
+from scipy.sparse import coo_matrix
 
 from mphygs.scene.particles import Joint
 
@@ -101,11 +102,10 @@ def tie_rows(
         for sign, (nodes, shares) in zip((1.0, -1.0), sides, strict=True):
             index, column = np.unique(nodes.reshape(-1, 3), axis=0, return_inverse=True)
             column = column.reshape(shares.shape)
-            total = np.zeros((pattern.shape[1], len(index)))
-            for a in range(shares.shape[1]):
-                np.add.at(total.T, column[:, a], shares[:, a, None] * factor)
+            row = np.repeat(np.arange(len(shares)), shares.shape[1])
+            carried = coo_matrix((shares.ravel(), (row, column.ravel())), shape=(len(shares), len(index)))
             node.append(index)
-            value.append(sign * total)
+            value.append(sign * (carried.T @ factor).T)
         nodes, values = np.concatenate(node), np.concatenate(value, axis=1)
         rows += [(number, nodes, row) for row in values]
     return rows

@@ -23,15 +23,12 @@ from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
 
-# What `implicit_cost` counts with, in operations as they pass in products of large matrices: forces of a
-# block of eight points, 4 x 27 x 9 x 8 multiplications and additions to gather and to scatter, and the law's.
+# Of an implicit step: iterations, and new matrices. A body that bends far takes more of both than a thick one;
+# these two hold all bodies of benchmarks/implicit within a factor of 2.5.
+ITERATIONS, RENEWALS = 12.0, 0.25
+# Forces of a block of eight points in single precision, as an explicit substep takes them, in the operations that
+# the core counts with: half of those in double precision.
 FORCES = 1e4
-# Of an implicit step: solutions, each with the forces, and new matrices. A body that bends far takes more of
-# both than a thick one; these two hold all bodies of benchmarks/implicit within a factor of 2.5.
-SOLUTIONS, RENEWALS = 25.0, 0.08
-# Forces in double precision, a derivative of them among many, both beside forces in single precision; what it
-# takes to read a number of the factors, 8 bytes; an operation in a front, most of which are small.
-DOUBLE, DERIVATIVE, READ, SLOWER = 2.0, 1.0, 8.0, 2.0
 
 
 class TotalLagrangian(Transfer):
@@ -61,10 +58,9 @@ class TotalLagrangian(Transfer):
 
     @cached_property
     def implicit_cost(self) -> float:
-        columns, factors, entries = self._plain().implicit_cost()
+        iteration, renewal = self._plain().implicit_cost()
         forces = FORCES * len(self.body.quadrature.points)
-        found = SOLUTIONS * (DOUBLE + READ * entries / forces)
-        return found + RENEWALS * (DERIVATIVE * columns + SLOWER * factors / forces)
+        return (ITERATIONS * iteration + RENEWALS * renewal) / forces
 
     def largest_rates(self, model: object, fields: Arrays, hook: object | None) -> tuple[float, float]:
         return tuple(model.largest_rates(fields, hook=hook))

@@ -9,6 +9,7 @@ namespace mphygs {
 struct VertexGraph {
     std::vector<std::vector<int>> beside;  // of every vertex, sorted, without itself
     std::vector<int> weight;               // unknowns
+    std::vector<bool> last = {};           // eliminated after all that they are beside, none of which is another of them; empty: none
 
     int count() const { return static_cast<int>(weight.size()); }
 };
@@ -27,8 +28,9 @@ struct EliminationTree {
 /// The tree of an order of elimination.
 EliminationTree elimination_tree(const VertexGraph& graph, const std::vector<int>& order);
 
-/// The cheaper tree of two orders: from the far ends of a level structure to its root (George, 1971), which is that of
-/// slender bodies and of bodies with limbs, and the least degree first (Amestoy, Davis and Duff, 1996).
+/// The cheapest tree of three orders: from the far ends of a level structure to its root (George, 1971), which is that of
+/// slender bodies and of bodies with limbs, and the least degree first (Amestoy, Davis and Duff, 1996), with what comes last
+/// and without it.
 EliminationTree cheapest_elimination(const VertexGraph& graph);
 
 }  // namespace mphygs

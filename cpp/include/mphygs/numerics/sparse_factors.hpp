@@ -15,8 +15,9 @@ namespace mphygs {
 
 class SparseFactors {
   public:
-    /// matrix: of a symmetric pattern; vertices: every unknown in one of them.
-    void analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<std::vector<int>>& vertices);
+    /// matrix: of a symmetric pattern; vertices: every unknown in one of them; last: of every vertex, whether it comes after
+    /// all that it shares entries with, empty: none.
+    void analyse(const Eigen::SparseMatrix<double>& matrix, const std::vector<std::vector<int>>& vertices, std::vector<bool> last = {});
     /// Of a matrix with the pattern that was analysed. False where a front is singular.
     bool factorise(const Eigen::SparseMatrix<double>& matrix);
     /// Of one right-hand side, and of several, one a column, for which the factors are read once.

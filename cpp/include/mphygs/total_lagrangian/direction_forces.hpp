@@ -14,13 +14,7 @@ inline void TotalLagrangianDirections<T, L>::chunk_forces(std::size_t index, dou
     W* out = chunk_force_[index].data() - 3 * begin;
     T* added = chunk_added_[index].data() - begin;
     for (std::size_t b = chunk.block_begin; b < chunk.block_end; ++b) {
-        if (linearised() && !model_.sites_.volume) {
-            linearised_forces<false>(b, time, dt, out, 3 * span);
-        } else if (linearised()) {
-            linearised_forces<true>(b, time, dt, out, 3 * span);
-        } else {
-            volume_forces(b, time, dt, out, 3 * span);
-        }
+        block_forces(b, time, dt, OfNodes{*this, b, out, 3 * span});
         if (volume_added_) {
             added_volume(b, time, dt, added, span);
         }
@@ -33,10 +27,41 @@ inline void TotalLagrangianDirections<T, L>::chunk_forces(std::size_t index, dou
     }
 }
 
+/// Forces of a block's volume by how its nodes move; ends: where motions come from and forces go.
+template <class T, int L>
+template <class Ends>
+inline void TotalLagrangianDirections<T, L>::block_forces(std::size_t b, double time, double dt, const Ends& ends) {
+    if (linearised() && !model_.sites_.volume) {
+        linearised_forces<false>(b, time, dt, ends);
+    } else if (linearised()) {
+        linearised_forces<true>(b, time, dt, ends);
+    } else {
+        volume_forces(b, time, dt, ends);
+    }
+}
+
+/// The nodes' motion in all directions, and the forces on them.
+template <class T, int L>
+struct TotalLagrangianDirections<T, L>::OfNodes {
+    const TotalLagrangianDirections& run;
+    std::size_t block;
+    W* out;
+    std::size_t span;
+
+    const Rows& rows() const { return *reinterpret_cast<const Rows*>(run.model_.rows_[block].data()); }
+    std::size_t table() const { return static_cast<std::size_t>(run.model_.table_[block]); }
+    void motion(std::size_t s, Points& to) const { gather_directions<W, T>(&run.u_[s * run.slab_], rows(), run.model_.gradients_[table()], to); }
+    void rates(std::size_t s, Points& to) const { gather_directions<W, T>(&run.v_[s * run.slab_], rows(), run.model_.gradients_[table()], to); }
+    void stress(std::size_t s, const Points& from) const { scatter_directions<W, T>(from, out + s * span, rows(), run.model_.gradients_[table()]); }
+    void body(std::size_t s, const Vec3<W> (&from)[lane_count]) const {
+        scatter_direction_values<W, T>(from, out + s * span, rows(), run.model_.values_[table()]);
+    }
+};
+
 /// The neo-Hookean law, and effects of the volume that say how they change.
 template <class T, int L>
-template <bool Effects>
-inline void TotalLagrangianDirections<T, L>::linearised_forces(std::size_t b, double time, double dt, W* out, std::size_t span) {
+template <bool Effects, class Ends>
+inline void TotalLagrangianDirections<T, L>::linearised_forces(std::size_t b, double time, double dt, const Ends& ends) {
     using P = Pack<T>;
     const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
     const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
@@ -65,9 +90,9 @@ inline void TotalLagrangianDirections<T, L>::linearised_forces(std::size_t b, do
     alignas(64) Points points;
     [[maybe_unused]] alignas(64) Points rates;
     for (std::size_t s = 0; s < slabs_; ++s) {
-        gather_directions<W, T>(&u_[s * slab_], rows, table, points);
+        ends.motion(s, points);
         if (rate) {
-            gather_directions<W, T>(&v_[s * slab_], rows, table, rates);
+            ends.rates(s, rates);
         }
         const std::size_t first = 8 * (s * blocks + b);
         for (int q = 0; q < lane_count; ++q) {
@@ -121,13 +146,14 @@ inline void TotalLagrangianDirections<T, L>::linearised_forces(std::size_t b, do
             }
             put(points, q, change);
         }
-        scatter_directions<W, T>(points, out + s * span, rows, table);
+        ends.stress(s, points);
     }
 }
 
 /// Any law and any effects of the volume: by dual numbers, point after point.
 template <class T, int L>
-inline void TotalLagrangianDirections<T, L>::volume_forces(std::size_t b, double time, double dt, W* out, std::size_t span) {
+template <class Ends>
+inline void TotalLagrangianDirections<T, L>::volume_forces(std::size_t b, double time, double dt, const Ends& ends) {
     using P = Pack<T>;
     const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
     const GradientTable<T>& table = model_.gradients_[static_cast<std::size_t>(model_.table_[b])];
@@ -151,9 +177,9 @@ inline void TotalLagrangianDirections<T, L>::volume_forces(std::size_t b, double
         return r;
     };
     for (std::size_t s = 0; s < slabs_; ++s) {
-        gather_directions<W, T>(&u_[s * slab_], rows, table, points);
+        ends.motion(s, points);
         if (rate) {
-            gather_directions<W, T>(&v_[s * slab_], rows, table, rates);
+            ends.rates(s, rates);
         }
         const D* uniforms = &uniforms_[s * static_cast<std::size_t>(Registry::total_uniform_count)];
         for (int q = 0; q < lane_count; ++q) {
@@ -204,9 +230,9 @@ inline void TotalLagrangianDirections<T, L>::volume_forces(std::size_t b, double
                 points[i / 3][i % 3 * lane_count + q] = stress.e[i / 3][i % 3].d[0];
             }
         }
-        scatter_directions<W, T>(points, out + s * span, rows, table);
+        ends.stress(s, points);
         if (model_.sites_.body_volume) {
-            scatter_direction_values<W, T>(body, out + s * span, rows, model_.values_[static_cast<std::size_t>(model_.table_[b])]);
+            ends.body(s, body);
         }
     }
 }

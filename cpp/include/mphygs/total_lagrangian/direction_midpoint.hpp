@@ -94,7 +94,7 @@ inline double TotalLagrangianDirections<T, L>::stiffer(std::size_t k) const {
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
-    constexpr int most = 100, patience = 25, slow_step = 8;
+    constexpr int most = 100, patience = 25;
     value_.solve_midpoint(n, frame, time, dt);
     value_.stand_at_middle();
     MidpointState<T>& m = *value_.midpoint_;
@@ -131,6 +131,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
         if (settled) {
             break;
         }
+        m.spend(static_cast<double>(count));
         const Eigen::MatrixXd d = m.matrix.solve(velocities() - x);
         settled = true;
         for (std::size_t k = 0; k < count; ++k) {
@@ -155,7 +156,6 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
             }
         }
     }
-    m.stale = m.stale || i > slow_step;
     enter(x);
     if (rule.second) {
         still_without_mass();
@@ -178,62 +178,5 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
         u_[k] = u0_[k] + h * mean[k];
     }
 }
-
-/// Columns of the implicit step's matrix: A e = M (e - B e), of as many colours at a time as there are directions.
-template <class T, int L>
-inline void TotalLagrangianDirections<T, L>::columns(const std::vector<T>& displacement, const std::vector<T>& velocity,
-                                                     const std::vector<Pack<T>>& history, double time, double dt, double span,
-                                                     MidpointMatrix& to) {
-    value_.u_ = displacement;
-    value_.v_ = velocity;
-    value_.history_ = history;
-    refresh(time, dt);
-    const std::size_t all = 3 * to.colours();
-    Eigen::MatrixXd x(static_cast<Eigen::Index>(3 * model_.node_count()), static_cast<Eigen::Index>(directions_.size()));
-    std::vector<double> sum(3 * model_.node_count());
-    for (std::size_t first = 0; first < all; first += directions_.size()) {
-        const std::size_t last = std::min(all, first + directions_.size());
-        x.setZero();
-        for (std::size_t k = first; k < last; ++k) {
-            for (const int node : to.nodes_of(k / 3)) {
-                x(3 * node + static_cast<Eigen::Index>(k % 3), static_cast<Eigen::Index>(k - first)) = 1.0;
-            }
-        }
-        enter(x);
-        for (std::size_t i = 0; i < v_.size(); ++i) {
-            u_[i] = static_cast<T>(span) * v_[i];
-        }
-        std::fill(history_.begin(), history_.end(), W{});
-        team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), time, dt); });
-        reduce_forces();
-        place_forces(time);
-        accelerate(time, span);
-        const Eigen::MatrixXd after = velocities();
-        for (std::size_t k = first; k < last; ++k) {
-            const Eigen::Index column = static_cast<Eigen::Index>(k - first);
-            for (std::size_t i = 0; i < sum.size(); ++i) {
-                const Eigen::Index row = static_cast<Eigen::Index>(i);
-                sum[i] = static_cast<double>(value_.mass_[i / 3]) * (2.0 * x(row, column) - after(row, column));
-            }
-            to.put(k / 3, static_cast<int>(k % 3), sum);
-        }
-    }
-}
-
-/// A run that is there for the derivatives of its forces alone.
-template <class T, int L>
-class DirectionColumns : public MidpointColumns<T> {
-  public:
-    DirectionColumns(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule, Team& team)
-        : run_(model, fields, std::vector<const Fields<T>*>(3 * L, &none_), {}, nullptr, nullptr, 0, schedule, team) {}
-    void fill(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time, double dt,
-              double span, MidpointMatrix& to) override {
-        run_.columns(displacement, velocity, history, time, dt, span, to);
-    }
-
-  private:
-    Fields<T> none_;
-    TotalLagrangianDirections<T, L> run_;
-};
 
 }  // namespace mphygs

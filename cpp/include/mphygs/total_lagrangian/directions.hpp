@@ -96,9 +96,6 @@ class TotalLagrangianDirections {
     }
 
     const TotalLagrangianRun<T, 0>& value() const { return value_; }
-    /// See `MidpointColumns`.
-    void columns(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time,
-                 double dt, double span, MidpointMatrix& to);
 
     bool finite() const {
         const T* numbers[2] = {reinterpret_cast<const T*>(u_.data()), reinterpret_cast<const T*>(v_.data())};
@@ -125,6 +122,9 @@ class TotalLagrangianDirections {
     }
 
   private:
+    template <class TT, int LL>
+    friend class CellAssembly;
+
     struct Direction {
         std::size_t number;
         AddedForces<T> forces;
@@ -206,9 +206,13 @@ class TotalLagrangianDirections {
     bool linearised() const {
         return model_.sites_.linearised && !model_.sites_.body_volume && model_.settings_.law == linearised_law;
     }
-    template <bool Effects>
-    void linearised_forces(std::size_t b, double time, double dt, W* out, std::size_t span);
-    void volume_forces(std::size_t b, double time, double dt, W* out, std::size_t span);
+    struct OfNodes;
+    template <class Ends>
+    void block_forces(std::size_t b, double time, double dt, const Ends& ends);
+    template <bool Effects, class Ends>
+    void linearised_forces(std::size_t b, double time, double dt, const Ends& ends);
+    template <class Ends>
+    void volume_forces(std::size_t b, double time, double dt, const Ends& ends);
     void spring_forces(std::size_t b, W* out, std::size_t span) const;
     void surface_forces(std::size_t b, double time, W* out, std::size_t span, T* added);
     void added_volume(std::size_t b, double time, double dt, T* out, std::size_t span);

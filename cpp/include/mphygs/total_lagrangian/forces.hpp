@@ -97,6 +97,8 @@ class TotalLagrangianForces {
     friend class TotalLagrangianReverse;
     template <class TT, int L>
     friend class TotalLagrangianDirections;
+    template <class TT, int L>
+    friend class CellAssembly;
 
     /// What effects compute once a substep.
     void refresh_uniforms(double time, double dt) {

@@ -5,10 +5,11 @@
 // where a are the accelerations of an explicit substep, effects, loads and observer among them, and hold is what the holds
 // leave of a velocity: C (u_n + h v_m) = hold at n+1. Of v_n+1 the part that the holds prescribe is the hold's mean velocity
 // in the step: reflected at the middle it would change its sign from step to step. Nothing that follows depends on it.
-// Newton's method with old factors, made faster by Anderson's. Where its corrections do not get smaller it goes on with
-// factors of its own at every velocity, and with as much of a correction as forces still drive along it: with a definite
-// matrix that is downhill in the step's potential. A sheet that turns is compressed on the way, and its own matrix one of
-// buckling, or nearly: then it is that of the step's start, where forces are in balance.
+// Newton's method with old factors, made faster by Anderson's, and with new ones where the iterations that are left would
+// cost more than these. Where its corrections do not get smaller it goes on with factors of its own at every velocity, and
+// with as much of a correction as forces still drive along it: with a definite matrix that is downhill in the step's
+// potential. A sheet that turns is compressed on the way, and its own matrix one of buckling, or nearly: then it is that of
+// the step's start, where forces are in balance.
 #pragma once
 
 #include "mphygs/total_lagrangian/holds.hpp"
@@ -21,23 +22,11 @@ inline void TotalLagrangianRun<T, K>::prepare_midpoint() {
     if (midpoint_) {
         return;
     }
-    std::vector<std::int32_t> cells;
-    for (const auto* blocks : {&model_.rows_, &model_.surface_rows_}) {
-        for (const auto& rows : *blocks) {
-            for (int a = 0; a < 27; ++a) {
-                cells.push_back(node_of<T>(*reinterpret_cast<const Rows*>(rows.data()), a));
-            }
-        }
-    }
-    for (const auto& place : model_.places_) {
-        cells.insert(cells.end(), place.node.begin(), place.node.end());
-    }
-    const std::size_t nodes = model_.node_count();
-    std::vector<double> mass(mass_.begin(), mass_.begin() + static_cast<std::ptrdiff_t>(nodes));
+    std::vector<double> mass(mass_.begin(), mass_.begin() + static_cast<std::ptrdiff_t>(model_.node_count()));
     midpoint_ = std::make_unique<MidpointState<T>>(
-        MidpointMatrix(model_.geometry_, model_.node_index_, model_.constraint_node_, cells, std::move(mass)));
+        MidpointMatrix(model_.geometry_, model_.constraint_node_, model_.coupled_nodes(), std::move(mass)), model_.rows_.size());
     midpoint_->length = prestressed_ ? model_.extent() : model_.geometry_.spacing[0];
-    midpoint_->columns = model_.midpoint_columns(*inputs_.primal, schedule_, *team_);
+    midpoint_->assembly = model_.midpoint_assembly(*inputs_.primal, schedule_, *team_);
 }
 
 template <class T, int K>
@@ -102,14 +91,14 @@ inline void TotalLagrangianRun<T, K>::stand_at_middle() {
 template <class T, int K>
 inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
-    constexpr int most = 200, patience = 30, slow_step = 12;
+    constexpr int most = 200, patience = 30;
     constexpr double overshoot = 0.9, shortest = 1e-3, nearly_singular = 0.1;
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
     const SubstepRule rule = this->rule(n);
     m.take(rule.second);
     m.u0 = u_;
-    m.v0 = v_;
+    m.v0 = m.start = v_;
     for (std::size_t i = 0; rule.second && i < size_; ++i) {
         m.u0[i] = (T(4) * u_[i] - past_u_[i]) / T(3);
         m.v0[i] = (T(4) * v_[i] - past_v_[i]) / T(3);
@@ -134,15 +123,18 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         velocity.swap(m.middle);
     };
     const auto work = [&](const Eigen::VectorXd& a, const Eigen::VectorXd& b) { return (a.array() * m.matrix.weight().array() * b.array()).sum(); };
-    if (m.stale || !m.factors_serve(dt)) {
-        refresh(start_u, start_v);
-    }
-    Eigen::VectorXd x = by_node(v_), best = x, way, rest_there;
-    if (m.ahead.size() > 0) {
-        x += m.ahead;
+    Eigen::VectorXd x = by_node(v_) + m.ahead(), best = by_node(v_), way, rest_there;
+    if (!m.begin_step(dt)) {
+        std::vector<T> place(size_), velocity;
+        by_component(x, velocity);
+        for (std::size_t i = 0; i < size_; ++i) {
+            place[i] = m.u0[i] + static_cast<T>(rule.span * dt) * velocity[i];
+        }
+        refresh(std::move(place), std::move(velocity));
     }
     bool of_start = false;                             // whether `way` is of the start's matrix
-    int quick = 0;                                     // iterations that old factors did
+    int quick = 0, since = 0;                          // iterations that old factors did, and since these were made
+    double first = 0;                                  // size of the first correction by these
     bool untried = false;                              // whether all of `way` has just been gone
     bool fast = true;                                  // else from `best` along `way`, as far as forces drive along it
     double least = infinite, share = 1.0, drive = 0.0;  // size of the correction at `best`; share of `way`; what drives there
@@ -170,6 +162,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
             }
             refresh(m.place, m.middle);
         }
+        m.spend(1.0);
         Eigen::VectorXd d = good ? Eigen::VectorXd(m.matrix.solve(rest)) : rest;
         of_start = !fast && good && !(work(d, rest) > 0.0);
         if (of_start) {
@@ -185,7 +178,6 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
                      (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::noise_loose * spread) ||
                      (!fast && size <= 3 * Tolerance::noise_loose * spread) ||
                      (no_smaller && size <= Tolerance::half_digits() * moves))) {
-            m.stale = m.stale || i > slow_step;
             m.impulse = lambda_rows_;
             return;
         }
@@ -193,8 +185,21 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
             best = x;
             least = size;
             untried = false;
-            x = m.mixed.next(x, d);
-            continue;
+            // As far as they have come so far in as many iterations, how many more are there?
+            first = since == 0 ? size : first;
+            const double aim = Tolerance::tight * moves + Tolerance::round_off * spread;
+            const double left = since == 0 ? 0.0 : since * std::log(size / aim) / std::log(first / size);
+            ++since;
+            if (m.renewal_pays(left)) {
+                refresh(m.place, m.middle);
+                d = m.matrix.solve(rest);
+                m.mixed.forget();
+                since = 0;
+            }
+            if (since > 0 || work(d, rest) > 0.0) {
+                x = m.mixed.next(x, d);
+                continue;
+            }
         }
         if (fast) {
             fast = false;
@@ -247,7 +252,7 @@ inline void TotalLagrangianRun<T, K>::finish_midpoint(int n, int frame, double d
         }
         sums_.add(0, n, frame, impulse.data(), turns(0, n).data());
     };
-    m.ahead = by_node(m.middle) - by_node(m.v0);
+    m.keep_change(by_node(m.middle) - by_node(m.start));
     history_ = m.history1;
     if (rule.second) {
         v_ = m.middle;

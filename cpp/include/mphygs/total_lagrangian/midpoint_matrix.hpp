@@ -4,11 +4,12 @@
 // P what the holds leave of a velocity. (I - P B) d = b is the saddle
 //   [ A  C^T ] [   d    ]   [ M b ]
 //   [ C   0  ] [ lambda ] = [ C b ],   A = M (I - B) = M + h/2 D + h^2/4 K.
-// A couples nodes that share a cell only, so that one derivative of the forces tells many columns at once: those of nodes
-// no two of which have a neighbour in common (Curtis, Powell and Reid, 1974).
+// A couples nodes that share a cell only: it is summed from what the points of every cell make of its nodes' motion. Without
+// the holds it has an inverse, for nodes have mass: the rows of a hold or joint are eliminated after all of their nodes.
 #pragma once
 
 #include <Eigen/Sparse>
+#include <array>
 #include <cmath>
 
 #include "mphygs/model.hpp"
@@ -16,18 +17,24 @@
 
 namespace mphygs {
 
+/// The 27 nodes of a cell, or of a place's pattern.
+using CellNodes = std::array<std::int32_t, 27>;
+/// What the motion of these nodes does to each of them: row a, column 3 (3 b + k) + i is of node a's component i by
+/// node b's component k.
+template <class T>
+using CellMatrix = Eigen::Matrix<T, 27, 243>;
+
 class MidpointMatrix {
   public:
-    /// node_index: (N, 3) on the grids; node: of every weight of the geometry's rows; cells: the 27 nodes of every cell in
-    /// use, one after the other; mass: (N,) [kg].
-    MidpointMatrix(const Geometry& geometry, const std::vector<std::int32_t>& node_index, const std::vector<std::int32_t>& node,
-                   const std::vector<std::int32_t>& cells, std::vector<double> mass);
+    /// node: of every weight of the geometry's rows; cells: the nodes of every cell in use; mass: (N,) [kg].
+    MidpointMatrix(const Geometry& geometry, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass);
 
-    /// Nodes of one colour have no neighbour in common.
-    std::size_t colours() const { return nodes_of_.size(); }
-    const std::vector<int>& nodes_of(std::size_t colour) const { return nodes_of_[colour]; }
-    /// The sum of A's columns that belong to one component of a colour's nodes, (N, 3).
-    void put(std::size_t colour, int component, const std::vector<double>& sum);
+    /// A as it is without forces.
+    void clear();
+    /// Adds to A what one cell's points make, or one node's own acceleration (row i, column k).
+    template <class T>
+    void add(const CellNodes& cell, const CellMatrix<T>& block);
+    void add(int node, const Eigen::Matrix3d& block);
     /// False where a front is singular.
     bool factorise();
     /// Operations of a factorisation, and numbers in the factors.
@@ -44,9 +51,10 @@ class MidpointMatrix {
 
   private:
     Eigen::Index nodes3() const { return mass_.size(); }
+    /// Of the first number of A in a column for a node's motion that is a node's: those of its three components follow.
+    Eigen::Index entry(int row_node, Eigen::Index column) const;
 
     Eigen::VectorXd mass_, weight_;  // (3 N,)
-    std::vector<std::vector<int>> nodes_of_;
     Eigen::SparseMatrix<double> rows_;    // C, (3 R, 3 N)
     Eigen::SparseMatrix<double> matrix_;  // the saddle
     SparseFactors solver_;

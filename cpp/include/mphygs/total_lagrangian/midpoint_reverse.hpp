@@ -61,7 +61,7 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         }
         return run_.by_node(sum);
     };
-    if (!m.factors_serve(dt)) {
+    if (!m.begin_step(dt)) {
         m.refresh(middle, dt, rule.span * dt);
     }
     if (trial_.of.empty()) {
@@ -84,6 +84,7 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
     bool fresh = false;
     int i = 0;
     for (;; ++i) {
+        m.spend(1.0);
         const Eigen::VectorXd d = m.matrix.solve_transposed(reversed(x) - x);
         const double now = size(d), moves = size(x + d), rate = std::isfinite(before) ? std::min(1.0, now / before) : std::min(1.0, now / moves);
         before = now;
@@ -102,10 +103,6 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
             fresh = true;
             mixed.forget();
         }
-    }
-    m.stale = m.stale || i > slow_step;
-    if (i > slow_step) {
-        m.factors_dt = 0;
     }
     this->swap_sums(trial_);
     reversed(x);

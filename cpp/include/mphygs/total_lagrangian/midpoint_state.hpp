@@ -1,25 +1,28 @@
 // What an implicit step keeps of a run: the state at its start and at its middle, the factors, the iteration.
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <utility>
 
 #include "mphygs/numerics/anderson.hpp"
+#include "mphygs/total_lagrangian/midpoint_cost.hpp"
 #include "mphygs/total_lagrangian/midpoint_matrix.hpp"
 #include "mphygs/total_lagrangian/model.hpp"
 
 namespace mphygs {
 
-/// Derivatives of a step's forces by the nodes' motion, as columns of its matrix.
+/// Sums a step's matrix from the derivatives of its forces by the nodes' motion.
 template <class T>
-class MidpointColumns {
+class MidpointAssembly {
   public:
-    virtual ~MidpointColumns() = default;
+    virtual ~MidpointAssembly() = default;
     /// At a displacement and a velocity (component, node, padded), from what the effects remember; time: at the middle.
     /// span: of the rule [s].
-    virtual void fill(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time,
-                      double dt, double span, MidpointMatrix& to) = 0;
+    virtual void assemble(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time,
+                          double dt, double span, MidpointMatrix& to) = 0;
 };
 
 /// When an iteration is at its end. Shares are of what moves; a correction is never asked to be below what round-off leaves
@@ -38,54 +41,84 @@ struct MidpointTolerance {
 
 template <class T>
 struct MidpointState {
-    explicit MidpointState(MidpointMatrix of) : matrix(std::move(of)), mixed(matrix.weight()) {}
+    /// blocks: of eight points.
+    MidpointState(MidpointMatrix of, std::size_t blocks)
+        : matrix(std::move(of)), mixed(matrix.weight()), cost_(midpoint_cost(blocks, matrix)) {}
 
     MidpointMatrix matrix;
     Anderson mixed;
-    std::unique_ptr<MidpointColumns<T>> columns;
-    std::vector<T> u0, v0;                     // at the start of the step
+    std::unique_ptr<MidpointAssembly<T>> assembly;
+    std::vector<T> u0, v0;                     // what the step begins with
+    std::vector<T> start;                      // velocity at its start
     std::vector<T> place, middle;              // displacement and velocity at its middle
     std::vector<Pack<T>> history0, history1;  // before it and after it
     std::vector<double> impulse;               // (3, rows) half of what every row of the holds gives [N s]
-    Eigen::VectorXd ahead;                     // how the last step's velocity changed, none at the start
     // Of what is rounded: a cell's strains vanish at rest, but with prestress every one of them is a difference of ones.
     double length = 0;                         // [m]
-    double factors_dt = 0;                     // step that the factors belong to [s], 0: there are none
-    bool stale = true;                         // whether the next step needs factors of its own
-
     /// Factors of the first or the second kind of substep from here on, each kept while the other is used.
     void take(bool second) {
         if (second != second_) {
             if (!other_) {
-                other_ = std::make_unique<Factors>(Factors{matrix, 0.0, true});
+                other_ = std::make_unique<Factors>(Factors{matrix, {}});
             }
             std::swap(matrix, other_->matrix);
-            std::swap(factors_dt, other_->dt);
-            std::swap(stale, other_->stale);
+            std::swap(use_, other_->use);
             second_ = second;
         }
     }
-    /// Whether the factors serve for a step: they lead to the solution of one that is nearly as long.
-    bool factors_serve(double dt) const { return std::abs(factors_dt - dt) < 0.05 * dt; }
+    /// Before a step: false where it needs factors of its own. Factors serve steps that are nearly as long, as long as a step
+    /// costs no more than the mean of all steps since they were made, their making among it: that mean is least then.
+    bool begin_step(double dt) {
+        ++use_.steps;
+        use_.step = 0;
+        return !use_.stale && std::abs(use_.dt - dt) < 0.05 * dt;
+    }
+    /// How the velocity is expected to change from the start to the middle: as in the last step of the kind, and as much more
+    /// or less as that was more than the one before.
+    Eigen::VectorXd ahead() const {
+        const auto& [last, before] = changes_[second_];
+        return last.size() == 0 ? Eigen::VectorXd::Zero(matrix.weight().size()).eval() : before.size() == 0 ? last : (2.0 * last - before).eval();
+    }
+    void keep_change(Eigen::VectorXd change) {
+        auto& [last, before] = changes_[second_];
+        before = std::exchange(last, std::move(change));
+    }
+    void forget_changes() { changes_ = {}; }
+    /// So many iterations of a step.
+    void spend(double iterations) {
+        use_.step += iterations * cost_.iteration;
+        use_.all += iterations * cost_.iteration;
+        use_.stale = use_.stale || use_.step * use_.steps > use_.all;
+    }
+    /// Whether factors of where an iteration is now, after which it takes two more, cost less than so many iterations.
+    bool renewal_pays(double iterations) const { return (iterations - 2.0) * cost_.iteration > cost_.renewal; }
     /// Factors of the matrix at the middle as it stands.
     void refresh(double time, double dt, double span) {
-        columns->fill(place, middle, history0, time, dt, span, matrix);
+        assembly->assemble(place, middle, history0, time, dt, span, matrix);
         if (!matrix.factorise()) {
             throw SimulationError("the implicit step's matrix is singular at t = " + std::to_string(time) +
                                   " s: the material has inverted, or a load softens it without bound");
         }
-        factors_dt = dt;
-        stale = false;
+        use_ = {dt, cost_.renewal, 0.0, 1.0, false};
     }
 
   private:
+    /// What factors are for, and what was spent on them and with them [operations].
+    struct Use {
+        double dt = 0;             // step that they belong to [s]
+        double all = 0, step = 0;  // since they were made, and in the present step
+        double steps = 0;          // since then, the present one among them
+        bool stale = true;         // whether the next step needs its own
+    };
     struct Factors {
         MidpointMatrix matrix;
-        double dt;
-        bool stale;
+        Use use;
     };
+    MidpointCost cost_;
+    Use use_;
     std::unique_ptr<Factors> other_;
     bool second_ = false;
+    std::array<std::array<Eigen::VectorXd, 2>, 2> changes_;  // of the velocity from the start to the middle, by kind: the last, the one before
 };
 
 }  // namespace mphygs

@@ -26,7 +26,7 @@ namespace mphygs {
 class Equilibrium;
 class Team;
 template <class T>
-class MidpointColumns;
+class MidpointAssembly;
 
 /// Called at every output frame; returning false stops the run (SimulationError "interrupted").
 using Progress = std::function<bool(int frame)>;
@@ -90,6 +90,11 @@ class TotalLagrangian {
     /// linearised model at rest, by power iteration. Channels of an actuation are those of one interval, at its start.
     std::array<double, 2> largest_rates(const Fields<T>& fields, int iterations = 60, const PointHook<T>* hook = nullptr) const;
 
+    /// The nodes of all cells with points or surface, and those of all places.
+    std::vector<std::array<std::int32_t, 27>> coupled_nodes() const;
+    /// The node of every weight of the geometry's rows.
+    const std::vector<std::int32_t>& constraint_node() const { return constraint_node_; }
+
     /// Diagonal of the box around all nodes [m].
     double extent() const;
 
@@ -109,6 +114,8 @@ class TotalLagrangian {
     friend class TotalLagrangianReverse;
     template <class U, int L>
     friend class TotalLagrangianDirections;
+    template <class U, int L>
+    friend class CellAssembly;
     friend class Equilibrium;
 
     struct Chunk {
@@ -147,7 +154,7 @@ class TotalLagrangian {
     std::size_t stride_ = 0;  // nodes, padded
 
     /// Of the matrix of implicit steps. All given must live longer.
-    std::unique_ptr<MidpointColumns<T>> midpoint_columns(const Fields<T>& fields, const Schedule& schedule, Team& team) const;
+    std::unique_ptr<MidpointAssembly<T>> midpoint_assembly(const Fields<T>& fields, const Schedule& schedule, Team& team) const;
     std::array<std::int32_t, 9> rows_of(const std::int32_t* cell) const;
     void place_curved_nodes();
     bool is_curved(int i) const;  // the grid of the cell or node at i along the first axis

@@ -64,7 +64,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             run_.past_u_ = r.past_u;
             run_.past_v_ = r.past_v;
             if (run_.midpoint_) {
-                run_.midpoint_->ahead.resize(0);
+                run_.midpoint_->forget_changes();
             }
         };
         const auto forward_recorded = [&](int n) {

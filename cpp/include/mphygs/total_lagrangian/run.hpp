@@ -143,6 +143,8 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     friend class TotalLagrangianReverse;
     template <class TT, int L>
     friend class TotalLagrangianDirections;
+    template <class TT, int L>
+    friend class CellAssembly;
     using Forces::chunk_force_, Forces::chunk_forces, Forces::f0_, Forces::history_, Forces::inputs_, Forces::model_;
     using Forces::load_point, Forces::parameters_, Forces::prestressed_, Forces::refresh_uniforms, Forces::size_;
     using Forces::stride_, Forces::u_, Forces::uniforms_, Forces::v_, Forces::volume_;
