@@ -10,6 +10,8 @@
 
 #include "actuation_scene.hpp"
 #include "bar_scene.hpp"
+#include "mphygs/numerics/team.hpp"
+#include "mphygs/total_lagrangian/midpoint_state.hpp"
 
 namespace mphygs {
 namespace {
@@ -317,6 +319,55 @@ TEST_P(ImplicitGradient, TangentAgreesWithCentralDifferences) {
         away = std::max(away, std::abs(value.displacement[i] - t[0].displacement[i]));
     }
     EXPECT_LT(away, 1e-12);  // the run itself, beside its directions
+}
+
+TEST_P(ImplicitGradient, MatrixIsTheDerivativeOfAStepsVelocity) {
+    Scene s;
+    make(GetParam(), s);
+    Geometry g = s.bar.model->geometry();
+    g.row_begin = {0};  // nothing is held: what forces do to velocities is seen as it is
+    g.row_node.clear();
+    g.row_weight.clear();
+    g.row_target.clear();
+    g.row_hold.clear();
+    g.hold_count = 0;
+    g.hold_centre.clear();
+    g.actuation = {};
+    const TotalLagrangian<double> model(g, s.bar.model->settings());
+    F<double> fields = s.bar.fields;
+    fields.pose.clear();
+    fields.channel.clear();
+    fields.target.clear();
+    fields.node_force.clear();
+    const std::size_t size = 3 * model.node_count(), padded = model.padded_nodes();
+    test::Random random(41);
+    fields.displacement0 = random.numbers(size, -1e-4, 1e-4);
+    fields.velocity0 = random.numbers(size, -0.1, 0.1);
+    const double span = 2e-4, time = 0.01;
+    const Schedule one{{1}, {span}, time};
+    F<double> direction;
+    direction.velocity0 = random.numbers(size, -1, 1);
+    for (const double v : direction.velocity0) {
+        direction.displacement0.push_back(span * v);
+    }
+    // An explicit step makes of v + e at u + span e what the matrix is of: e + B e.
+    const auto t = model.tangent(fields, {direction}, one);
+    Eigen::VectorXd e(static_cast<Eigen::Index>(size)), left(e.size());
+    for (Eigen::Index i = 0; i < e.size(); ++i) {
+        e[i] = direction.velocity0[static_cast<std::size_t>(i)];
+        left[i] = 2 * e[i] - t[1].velocity[size + static_cast<std::size_t>(i)];
+    }
+    Team alone;
+    MidpointMatrix matrix(g, model.constraint_node(), model.coupled_nodes(), model.node_mass(fields));
+    std::vector<double> u(3 * padded), v(3 * padded);
+    for (std::size_t i = 0; i < size; ++i) {
+        u[i % 3 * padded + i / 3] = fields.displacement0[i];
+        v[i % 3 * padded + i / 3] = fields.velocity0[i];
+    }
+    model.midpoint_assembly(fields, one, alone)->assemble(u, v, {}, time, span, span, matrix);
+    ASSERT_TRUE(matrix.factorise());
+    EXPECT_LT((matrix.solve(left) - e).norm(), 1e-9 * e.norm());
+    EXPECT_GT((left - e).norm(), 1e-3 * e.norm());  // forces are seen
 }
 
 TEST(ImplicitGradients, OfAStiffBarInLongStepsAreThoseOfDifferences) {

@@ -46,7 +46,8 @@ class CellAssembly : public MidpointAssembly<T> {
                   double span, MidpointMatrix& to) override {
         run_.value_.u_ = displacement;
         run_.value_.v_ = velocity;
-        run_.value_.history_ = history;
+        run_.value_.history_.assign(run_.value_.history_.size(), P{});
+        std::copy(history.begin(), history.end(), run_.value_.history_.begin());
         run_.refresh(time, dt);
         std::fill(run_.history_.begin(), run_.history_.end(), W{});
         to.clear();

@@ -19,8 +19,8 @@ template <class T>
 class MidpointAssembly {
   public:
     virtual ~MidpointAssembly() = default;
-    /// At a displacement and a velocity (component, node, padded), from what the effects remember; time: at the middle.
-    /// span: of the rule [s].
+    /// At a displacement and a velocity (component, node, padded), from what the effects remember, empty: nothing yet;
+    /// time: at the middle; span: of the rule [s].
     virtual void assemble(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time,
                           double dt, double span, MidpointMatrix& to) = 0;
 };

@@ -53,6 +53,8 @@ class TotalLagrangian {
     TotalLagrangian(Geometry geometry, Settings settings);
 
     std::size_t node_count() const { return node_positions_.size() / 3; }
+    /// Numbers of one component in the arrays that runs keep.
+    std::size_t padded_nodes() const { return stride_; }
     const std::vector<double>& node_positions() const { return node_positions_; }  // (N, 3) [m]
     const std::vector<std::int32_t>& node_index() const { return node_index_; }    // (N, 3) on the grids
     const Geometry& geometry() const { return geometry_; }
@@ -90,6 +92,8 @@ class TotalLagrangian {
     /// linearised model at rest, by power iteration. Channels of an actuation are those of one interval, at its start.
     std::array<double, 2> largest_rates(const Fields<T>& fields, int iterations = 60, const PointHook<T>* hook = nullptr) const;
 
+    /// Of the matrix of implicit steps. All given must live longer.
+    std::unique_ptr<MidpointAssembly<T>> midpoint_assembly(const Fields<T>& fields, const Schedule& schedule, Team& team) const;
     /// The nodes of all cells with points or surface, and those of all places.
     std::vector<std::array<std::int32_t, 27>> coupled_nodes() const;
     /// The node of every weight of the geometry's rows.
@@ -153,8 +157,6 @@ class TotalLagrangian {
     std::vector<std::int32_t> constraint_node_;
     std::size_t stride_ = 0;  // nodes, padded
 
-    /// Of the matrix of implicit steps. All given must live longer.
-    std::unique_ptr<MidpointAssembly<T>> midpoint_assembly(const Fields<T>& fields, const Schedule& schedule, Team& team) const;
     std::array<std::int32_t, 9> rows_of(const std::int32_t* cell) const;
     void place_curved_nodes();
     bool is_curved(int i) const;  // the grid of the cell or node at i along the first axis
