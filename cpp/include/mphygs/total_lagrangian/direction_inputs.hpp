@@ -95,4 +95,18 @@ inline void TotalLagrangianDirections<T, L>::prepare_mass() {
     }
 }
 
+template <class T, int L>
+inline auto TotalLagrangianDirections<T, L>::values_alone(const Fields<T>& fields) -> Inputs<T, 0> {
+    Inputs<T, 0> inputs;
+    inputs.primal = &fields;
+    if (hook_) {
+        // The hook is asked once a substep, for the values and all directions; the middle of an implicit step is found by
+        // the values alone.
+        of_values_.forward = [this](const PointState<T>& state) { return schedule_.implicit ? hook_->forward(state) : given_; };
+        inputs.hook = &of_values_;
+    }
+    inputs.observer = observer_;
+    return inputs;
+}
+
 }  // namespace mphygs

@@ -1,7 +1,7 @@
 // What acts on a run's directions from outside: effects at places, the caller's own effects, the holds.
 #pragma once
 
-#include "mphygs/total_lagrangian/directions.hpp"
+#include "mphygs/total_lagrangian/direction_accelerations.hpp"
 
 namespace mphygs {
 

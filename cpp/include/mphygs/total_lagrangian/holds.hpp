@@ -84,4 +84,27 @@ inline void TotalLagrangianRun<T, K>::hold_lanes(int n, double dt, bool aimed) {
     }
 }
 
+template <class T, int K>
+inline auto TotalLagrangianRun<T, K>::turns(int lane, int n) const -> std::vector<double> {
+    std::vector<double> turn;
+    for (std::size_t h = 0; h < static_cast<std::size_t>(model_.geometry_.hold_count); ++h) {
+        for (std::size_t i = 0; i < 9; ++i) {
+            turn.push_back(pose(lane, h, n + 1, i));
+        }
+    }
+    return turn;
+}
+
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::react(int n, int frame) {
+    const std::vector<double> turn = turns(0, n);
+    for (int l = 0; l < lanes; ++l) {
+        const std::size_t lane = static_cast<std::size_t>(l);
+        sums_.add(lane, n, frame, &lambda_rows_[lane * 3 * model_.geometry_.row_count()], turn.data());
+        if (l > 0) {
+            sums_.add(lane, n, frame, lambda_rows_.data(), turns(l, n).data(), false);
+        }
+    }
+}
+
 }  // namespace mphygs

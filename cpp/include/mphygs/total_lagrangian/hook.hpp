@@ -1,7 +1,8 @@
 // What the caller's own effects see of a total-Lagrangian run and give to it.
 #pragma once
 
-#include "mphygs/total_lagrangian/run.hpp"
+#include "mphygs/total_lagrangian/run_loads.hpp"
+#include "mphygs/total_lagrangian/run_nodes.hpp"
 
 namespace mphygs {
 

@@ -1,7 +1,7 @@
 // Adjoint of what the caller's own effects give to a total-Lagrangian run.
 #pragma once
 
-#include "mphygs/total_lagrangian/forces_reverse.hpp"
+#include "mphygs/total_lagrangian/block_reverse.hpp"
 
 namespace mphygs {
 

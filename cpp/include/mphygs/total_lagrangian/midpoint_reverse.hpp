@@ -3,7 +3,7 @@
 #pragma once
 
 #include "mphygs/total_lagrangian/midpoint.hpp"
-#include "mphygs/total_lagrangian/reverse.hpp"
+#include "mphygs/total_lagrangian/reverse_loads.hpp"
 
 namespace mphygs {
 

@@ -9,9 +9,9 @@
 #include "mphygs/physics/constraint.hpp"
 #include "mphygs/physics/observer_rows.hpp"
 #include "mphygs/physics/reaction.hpp"
-#include "mphygs/total_lagrangian/forces.hpp"
 #include "mphygs/total_lagrangian/midpoint_state.hpp"
 #include "mphygs/total_lagrangian/substep_rule.hpp"
+#include "mphygs/total_lagrangian/surface_forces.hpp"
 
 namespace mphygs {
 
@@ -149,105 +149,14 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     using Forces::load_point, Forces::parameters_, Forces::prestressed_, Forces::refresh_uniforms, Forces::size_;
     using Forces::stride_, Forces::u_, Forces::uniforms_, Forces::v_, Forces::volume_;
 
-    void prepare_mass() {
-        std::vector<T> mass(lanes * stride_, T{});
-        for (int l = 0; l < lanes; ++l) {
-            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
-            T* m = &mass[static_cast<std::size_t>(l) * stride_];
-            if (fields && !fields->mass.empty()) {
-                for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
-                    const Pack<T> point = load<T>(&fields->mass[8 * static_cast<std::size_t>(model_.order_[b])]);
-                    const MassTable<T>& table = model_.masses_[static_cast<std::size_t>(model_.table_[b])];
-                    for (int a = 0; a < 27; ++a) {
-                        m[model_.rows_[b][static_cast<std::size_t>(a / 3)] + a % 3] += sum_lanes<T>(point * table.by_node[a]);
-                    }
-                }
-            }
-            if (fields && model_.sites_.mass && !fields->place_mass.empty()) {
-                for (std::size_t p = 0; p < model_.places_.size(); ++p) {
-                    for (std::size_t a = 0; a < 27; ++a) {
-                        m[model_.places_[p].node[a]] += fields->place_mass[p] * model_.places_[p].value[a];
-                    }
-                }
-            }
-        }
-        mass_ = mass;
-        inverse_mass_.assign(lanes * stride_, T{});
-        std::vector<double> inverse(stride_, 0.0);
-        for (std::size_t n = 0; n < model_.node_count(); ++n) {
-            if (mass[n] > T{}) {
-                inverse[n] = 1.0 / static_cast<double>(mass[n]);
-                inverse_mass_[n] = static_cast<T>(inverse[n]);
-                for (int l = 1; l < lanes; ++l) {
-                    const std::size_t i = static_cast<std::size_t>(l) * stride_ + n;
-                    inverse_mass_[i] = -inverse_mass_[n] * inverse_mass_[n] * mass[i];
-                }
-            }
-        }
-        constraint_.emplace_back(model_.geometry_, model_.constraint_node_, inverse);
-    }
-    void reduce_forces() {
-        std::fill(f_.begin(), f_.end(), T{});
-        for (std::size_t c = 0; c < model_.chunks_.size(); ++c) {
-            const auto& chunk = model_.chunks_[c];
-            const std::size_t span = static_cast<std::size_t>(chunk.node_end - chunk.node_begin);
-            const std::size_t used = std::min(span, stride_ - static_cast<std::size_t>(chunk.node_begin));
-            for (std::size_t k = 0; k < 3 * static_cast<std::size_t>(lanes); ++k) {
-                const T* from = chunk_force_[c].data() + k * span;
-                T* to = f_.data() + k * stride_ + chunk.node_begin;
-                for (std::size_t i = 0; i < used; ++i) {
-                    to[i] += from[i];
-                }
-            }
-        }
-    }
+    void prepare_mass();
+    void reduce_forces();
 
-    MaterialPoint<U> material_point(std::size_t p, double time) const {
-        MaterialPoint<U> m;
-        const auto& place = model_.places_[p];
-        for (int c = 0; c < 3; ++c) {
-            const T rest = static_cast<T>(model_.geometry_.places[3 * p + static_cast<std::size_t>(c)]);
-            m.rest[c] = constant<U>(rest);
-            m.position[c] = constant<U>(rest);
-            for (int l = 0; l < lanes; ++l) {
-                for (std::size_t a = 0; a < 27; ++a) {
-                    const std::size_t i = at(l, static_cast<std::size_t>(c), static_cast<std::size_t>(place.node[a]));
-                    lane_of(m.position[c], l) += place.value[a] * u_[i];
-                    lane_of(m.velocity[c], l) += place.value[a] * v_[i];
-                }
-            }
-        }
-        m.time = static_cast<T>(time);
-        return m;
-    }
+    MaterialPoint<U> material_point(std::size_t p, double time) const;
 
-    std::vector<U> place_parameters(std::size_t p) const {
-        const std::size_t count = static_cast<std::size_t>(model_.sites_.point_parameters);
-        std::vector<U> q(count);
-        for (std::size_t i = 0; i < count; ++i) {
-            q[i] = inputs_.plain(&Fields<T>::place_effect, p * count + i);
-        }
-        return q;
-    }
+    std::vector<U> place_parameters(std::size_t p) const;
 
-    void place_forces(double time) {
-        if (!model_.sites_.point) {
-            return;
-        }
-        for (std::size_t p = 0; p < model_.places_.size(); ++p) {
-            const std::vector<U> q = place_parameters(p);
-            const Vec3<U> force = evaluate_point(model_.slots_, q.data(), material_point(p, time));
-            const auto& place = model_.places_[p];
-            for (int l = 0; l < lanes; ++l) {
-                for (int c = 0; c < 3; ++c) {
-                    for (std::size_t a = 0; a < 27; ++a) {
-                        f_[at(l, static_cast<std::size_t>(c), static_cast<std::size_t>(place.node[a]))] +=
-                            place.value[a] * lane_of(force[c], l);
-                    }
-                }
-            }
-        }
-    }
+    void place_forces(double time);
 
     /// What the hook is shown: all quadrature points in the caller's order.
     PointState<T> hook_state(double time, double dt) const;
@@ -277,73 +186,19 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     static std::size_t index(int n) { return static_cast<std::size_t>(n); }
 
     /// Where a substep stands in the targets of its output interval.
-    TargetBasis target_basis(int n, int frame, double dt) const {
-        const std::size_t f = static_cast<std::size_t>(frame);
-        return {n - first_step_[f], schedule_.steps[f], dt, rule(n).at};
-    }
+    TargetBasis target_basis(int n, int frame, double dt) const;
 
     /// What the observer's channels ask for at the start of a substep [m/s^2]; whether there is anything.
-    bool ask(int n, int frame, double dt) {
-        if (!observer_) {
-            return false;
-        }
-        const std::size_t interval = static_cast<std::size_t>(frame);
-        if (frame != aimed_) {
-            aimed_ = frame;
-            pulling_ = observer_->pulls(interval);
-            for (int l = 0; l < lanes; ++l) {
-                const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
-                observer_->aim(interval, fields ? fields->target : std::vector<T>{}, aims_[l]);
-            }
-        }
-        const auto factors = observer_->factors(target_basis(n, frame, dt));
-        const std::vector<std::size_t>& read = observer_->read_carriers();
-        const T stiffness = observer_->stiffness(), damping = observer_->damping();
-        constexpr std::size_t quad = ObserverRows<T>::quad;
-        blend_.resize(quad * read.size());
-        for (int l = 0; pulling_ && l < lanes; ++l) {
-            for (std::size_t k = 0; k < read.size(); ++k) {
-                for (std::size_t c = 0; c < 3; ++c) {
-                    const std::size_t i = at(l, c, read[k]);
-                    blend_[quad * k + c] = stiffness * u_[i] + damping * v_[i];
-                }
-            }
-            observer_->ask(interval, factors, aims_[l], blend_, asked_[l]);
-        }
-        return pulling_;
-    }
+    bool ask(int n, int frame, double dt);
 
     /// dt G (what the channels ask for), of all lanes, and of columns that others have beside them.
-    void spread_pulls(double dt, std::vector<const T*> asked = {}, std::vector<T*> pulled = {}) {
-        for (int l = 0; l < lanes; ++l) {
-            pulled_[l].resize(3 * stride_);
-            asked.insert(asked.begin() + l, asked_[l].data());
-            pulled.insert(pulled.begin() + l, pulled_[l].data());
-        }
-        observer_->pull(*team_, static_cast<T>(dt), asked, pulled);
-    }
+    void spread_pulls(double dt, std::vector<const T*> asked = {}, std::vector<T*> pulled = {});
 
-    void add_pulls() {
-        for (int l = 0; observer_ && pulling_ && l < lanes; ++l) {
-            T* to = &v_[at(l, 0, 0)];
-            for (std::size_t i = 0; i < 3 * stride_; ++i) {
-                to[i] += pulled_[l][i];
-            }
-        }
-    }
+    void add_pulls();
 
     /// Adds the forces of tendons, pressures and known loads in an output interval. powers: of the share; step: number of
     /// the substep, for the holds' poses, -1: holds are at rest.
-    void actuate(std::size_t interval, const double (&powers)[4], int step) {
-        for (int l = 0; actuation_ && l < lanes; ++l) {
-            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
-            look(*actuation_, &u_[at(l, 0, 0)], stride_, 1);
-            actuation_->channels_of(&fields->channel, interval, powers);
-            pose_loads(*actuation_, *fields, step);
-            l == 0 ? actuation_->value() : actuation_->change();
-            push(*actuation_, &f_[at(l, 0, 0)], stride_, 1);
-        }
-    }
+    void actuate(std::size_t interval, const double (&powers)[4], int step);
     /// Displacements of the nodes that loads read: component c of node n stands at c across + n apart.
     void look(ActuationStep& loads, const T* u, std::size_t across, std::size_t apart) const {
         const std::vector<std::int32_t>& read = model_.geometry_.actuation.read_carriers();
@@ -361,89 +216,14 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     std::size_t pose_at(std::size_t hold, int step) const {
         return (hold * (static_cast<std::size_t>(schedule_.total_steps()) + 1) + static_cast<std::size_t>(step)) * 12;
     }
-    void pose_loads(ActuationStep& loads, const Fields<T>& fields, int step) const {
-        loads.poses.clear();
-        const std::size_t holds = step < 0 || fields.pose.empty() ? 0 : static_cast<std::size_t>(model_.geometry_.hold_count);
-        for (std::size_t i = 0; i < 12 * holds; ++i) {
-            const std::size_t from = pose_at(i / 12, step) + i % 12;
-            const double now = static_cast<double>(fields.pose[from]), at = rule(step).at;
-            loads.poses.push_back((1.0 - at) * now + at * static_cast<double>(fields.pose[from + 12]));
-        }
-    }
+    void pose_loads(ActuationStep& loads, const Fields<T>& fields, int step) const;
 
-    void known_forces(int frame) {
-        const std::size_t nodes = model_.node_count();
-        for (int l = 0; l < lanes; ++l) {
-            const Fields<T>* fields = l == 0 ? inputs_.primal : inputs_.direction[l - 1];
-            if (!fields || fields->node_force.empty()) {
-                continue;
-            }
-            const T* from = fields->node_force.data() + static_cast<std::size_t>(frame) * 3 * nodes;
-            for (std::size_t n = 0; n < nodes; ++n) {
-                for (std::size_t c = 0; c < 3; ++c) {
-                    f_[at(l, c, n)] += from[3 * n + c];
-                }
-            }
-        }
-    }
+    void known_forces(int frame);
 
     /// v* = v + dt (f / m + gravity + body effects), eight nodes at a time.
-    void update_nodes(double time, double dt) {
-        const T h = static_cast<T>(dt);
-        Vec3<S> gravity;
-        for (int c = 0; c < 3; ++c) {
-            for (int l = 0; l < lanes; ++l) {
-                lane_of(gravity[c], l) = broadcast<T>(lane_of(gravity_[c], l));
-            }
-        }
-        for (std::size_t n = 0; n < stride_; n += lane_count) {
-            S inverse_mass{};
-            for (int l = 0; l < lanes; ++l) {
-                lane_of(inverse_mass, l) = load<T>(&inverse_mass_[static_cast<std::size_t>(l) * stride_ + n]);
-            }
-            Vec3<S> acceleration = gravity;
-            if (model_.sites_.body) {
-                acceleration = acceleration + evaluate_body(model_.slots_, uniforms_.data(), body_point(n, time));
-            }
-            for (int c = 0; c < 3; ++c) {
-                S force{};
-                for (int l = 0; l < lanes; ++l) {
-                    lane_of(force, l) = load<T>(&f_[at(l, static_cast<std::size_t>(c), n)]);
-                }
-                const S total = acceleration[c] + force * inverse_mass;
-                for (int l = 0; l < lanes; ++l) {
-                    T* v = &v_[at(l, static_cast<std::size_t>(c), n)];
-                    store<T>(v, load<T>(v) + h * lane_of(total, l));
-                }
-            }
-        }
-        // Nodes without mass (the padding) stay where they are.
-        for (std::size_t n = 0; n < stride_; ++n) {
-            if (inverse_mass_[n] == T{}) {
-                for (int l = 0; l < lanes; ++l) {
-                    for (std::size_t c = 0; c < 3; ++c) {
-                        v_[at(l, c, n)] = T{};
-                    }
-                }
-            }
-        }
-    }
+    void update_nodes(double time, double dt);
 
-    BodyPoint<S> body_point(std::size_t n, double time) const {
-        BodyPoint<S> p;
-        for (int c = 0; c < 3; ++c) {
-            for (int l = 0; l < lanes; ++l) {
-                lane_of(p.position[c], l) = load<T>(&u_[at(l, static_cast<std::size_t>(c), n)]);
-                lane_of(p.velocity[c], l) = load<T>(&v_[at(l, static_cast<std::size_t>(c), n)]);
-            }
-            for (std::size_t q = 0; q < lane_count && n + q < model_.node_count(); ++q) {
-                lane_of(p.position[c], 0)[static_cast<int>(q)] +=
-                    static_cast<T>(model_.node_positions_[3 * (n + q) + static_cast<std::size_t>(c)]);
-            }
-        }
-        p.time = static_cast<T>(time);
-        return p;
-    }
+    BodyPoint<S> body_point(std::size_t n, double time) const;
 
     /// Pose number i of hold h, as (12,) scalars of lane l.
     double pose(int l, std::size_t h, int step, std::size_t i) const {
@@ -469,27 +249,10 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     }
 
     /// Rotations of all holds at the end of a substep, (holds, 9).
-    std::vector<double> turns(int lane, int n) const {
-        std::vector<double> turn;
-        for (std::size_t h = 0; h < static_cast<std::size_t>(model_.geometry_.hold_count); ++h) {
-            for (std::size_t i = 0; i < 9; ++i) {
-                turn.push_back(pose(lane, h, n + 1, i));
-            }
-        }
-        return turn;
-    }
+    std::vector<double> turns(int lane, int n) const;
 
     /// Adds what the holds exert in a substep to the reactions of the frames around it.
-    void react(int n, int frame) {
-        const std::vector<double> turn = turns(0, n);
-        for (int l = 0; l < lanes; ++l) {
-            const std::size_t lane = static_cast<std::size_t>(l);
-            sums_.add(lane, n, frame, &lambda_rows_[lane * 3 * model_.geometry_.row_count()], turn.data());
-            if (l > 0) {
-                sums_.add(lane, n, frame, lambda_rows_.data(), turns(l, n).data(), false);
-            }
-        }
-    }
+    void react(int n, int frame);
 
     /// The hold of some lanes, the values' before those of the derivatives. aimed: else only so that C (u + dt v) = 0.
     template <int First, int Count>
