@@ -102,6 +102,54 @@ TEST(SparseFactors, SolveAsDenseOnesDoInBothDirections) {
     }
 }
 
+TEST(SparseFactors, RowsThatComeLastFollowWhatTheyTie) {
+    VertexGraph g = branched(4, 8, 3);
+    const int nodes = g.count(), tips[4] = {15, 23, 31, 39};
+    for (int tie = 0; tie < 3; ++tie) {  // the tips, each to the next; their rows see three vertices of both limbs
+        std::vector<int> tied;
+        for (int k = 0; k < 3; ++k) {
+            tied.insert(tied.end(), {tips[tie] - k, tips[tie + 1] - k});
+        }
+        std::sort(tied.begin(), tied.end());
+        for (const int v : tied) {
+            g.beside[static_cast<std::size_t>(v)].push_back(nodes + tie);
+        }
+        g.beside.push_back(tied);
+        g.weight.push_back(4);
+    }
+    const std::vector<std::vector<int>> vertices = unknowns_of(g);
+    Eigen::SparseMatrix<double> matrix = matrix_on(g, vertices, 4);
+    for (Eigen::Index i = 3 * nodes; i < matrix.rows(); ++i) {
+        for (Eigen::Index k = 3 * nodes; k < matrix.rows(); ++k) {
+            if (matrix.coeff(i, k) != 0.0) {
+                matrix.coeffRef(i, k) = 0.0;  // a saddle
+            }
+        }
+    }
+    g.last.assign(g.weight.size(), false);
+    std::fill(g.last.begin() + nodes, g.last.end(), true);
+    const EliminationTree tree = cheapest_elimination(g);
+    std::vector<int> place(g.weight.size(), -1);
+    int next = 0;
+    for (const EliminationTree::Front& front : tree.fronts) {
+        for (const int v : front.pivots) {
+            place[static_cast<std::size_t>(v)] = next++;
+        }
+    }
+    EXPECT_EQ(next, g.count());
+    for (int tie = nodes; tie < g.count(); ++tie) {
+        for (const int v : g.beside[static_cast<std::size_t>(tie)]) {
+            EXPECT_GT(place[static_cast<std::size_t>(tie)], place[static_cast<std::size_t>(v)]);
+        }
+    }
+    SparseFactors factors;
+    factors.analyse(matrix, vertices, g.last);
+    ASSERT_TRUE(factors.factorise(matrix));
+    const Eigen::VectorXd right = random_columns(matrix.rows(), 1, 5);
+    const Eigen::VectorXd expected = Eigen::MatrixXd(matrix).fullPivLu().solve(right);
+    EXPECT_LT((factors.solve(right) - expected).norm(), 1e-9 * expected.norm());
+}
+
 TEST(SparseFactors, AMatrixWithoutInverseIsTold) {
     const VertexGraph g = branched(1, 4, 2);
     const std::vector<std::vector<int>> vertices = unknowns_of(g);
