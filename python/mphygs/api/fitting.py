@@ -85,7 +85,7 @@ def fit(
     spacing: float | None = None,
     prestress: Literal["off", "paper", "equilibrium"] | None = None,
     law: str = USUAL_LAW,
-    preset: Literal["gel", "silicone", "rubber", "petal", "stem"] | None = None,
+    preset: Mapping[str, str] | str | None = None,
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton",
     stages: str | Path | None = None,
     without: Sequence[str] | str = (),
@@ -100,9 +100,9 @@ def fit(
     """Fit materials, and the effects named, as `mphygs fit` does, to the same numbers.
 
     capture: a capture or its folder, None for a small one made on the spot; out: run folder, by default a
-    temporary one that goes with the result; spacing: of the grid [m]; frames: (i, j), fits i to j - 1; the
-    others as the command's options; progress: told the share of the work done, 0 to 1, and a line.
-    Raises InputError or FailedError, with the line that the command would have ended in.
+    temporary one that goes with the result; spacing: of the grid [m]; frames: (i, j), fits i to j - 1; preset: of
+    all parts, or by part; the others as the command's options; progress: told the share of the work done, 0 to
+    1, and a line. Raises InputError or FailedError, with the line that the command would have ended in.
     """
     folder, home = place(out)
 
@@ -121,7 +121,9 @@ def fit(
         spacing=spacing,
         prestress=prestress,
         law=law,
-        preset=preset,
+        preset=preset if preset is None or isinstance(preset, str) else comma(
+            [f"{part}={name}" for part, name in preset.items()]
+        ),
         optimiser=optimiser,
         stages=None if stages is None else Path(stages),
         without=comma(without),

@@ -25,6 +25,7 @@ from mphygs.fit.placement import with_placed_effect
 from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
 from mphygs.fit.spacings import check_spacing, default_spacing
 from mphygs.fit.start import starting_belief
+from mphygs.model.substances import substances_by_part
 from mphygs.simulate.settings import Settings
 
 PROGRAM = "mphygs fit"
@@ -81,6 +82,11 @@ def begun(options: FitOptions, console: Console) -> tuple[Run, Capture]:
         integrator=options.integrator,
     )
     wanted = split_names(options.sequences)
+    if options.preset is not None:
+        try:
+            substances_by_part(options.preset, [part.name for part in capture.parts])
+        except ValueError as error:
+            raise OptionError(f"--preset: {error}") from error
     belief = starting_belief(capture, prestress=options.prestress, law=options.law, preset=options.preset)
     if stages is not None:
         belief = pictured_belief(

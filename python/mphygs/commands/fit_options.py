@@ -15,11 +15,10 @@ from mphygs.fit.of_run import HOMOGENEOUS
 from mphygs.fit.paper_plan import check_windows
 from mphygs.fit.pictured_run import PARTS
 from mphygs.model.registry import USUAL_LAW, effects, laws
-from mphygs.model.substances import SUBSTANCES
+from mphygs.model.substances import substances_of
 from mphygs.simulate.settings import check_effects, check_integrator
 
 Law = Literal[laws()]
-Preset = Literal[tuple(s.name for s in SUBSTANCES)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +50,9 @@ class FitOptions(CommonOptions):
     """How the rest shape carries gravity; default: as the capture says."""
     law: Law = USUAL_LAW
     """Law of elasticity."""
-    preset: Preset | None = None
+    preset: Annotated[str | None, tyro.conf.arg(metavar="NAME | PART=NAME,...")] = None
     """What the object is made of, about: where stiffness and density start, and what stiffness is expected
-    to be."""
+    to be. gel, silicone, rubber, petal or stem, of all parts, or by part: stem=stem,petal*=petal."""
     optimiser: Literal["gauss-newton", "adam", "lbfgs"] = "gauss-newton"
     """Of the fast schedule: Gauss-Newton on tangents, or Adam or L-BFGS on the adjoint, slower for so few
     unknowns."""
@@ -96,6 +95,11 @@ def check_options(options: FitOptions) -> None:
             )
     if options.spacing is not None and not 0.0 < options.spacing < math.inf:
         raise OptionError(f"--spacing: got {options.spacing}; expected a length above zero [m]")
+    if options.preset is not None:
+        try:
+            substances_of(options.preset)
+        except (KeyError, ValueError) as error:
+            raise OptionError(f"--preset: {error.args[0]}") from error
     if options.workers is not None and options.workers < 1:
         raise OptionError(f"--workers: got {options.workers}; expected 1 or more")
     if options.schedule == "paper":

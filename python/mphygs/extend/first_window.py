@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.extend.step import Step
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution, minimise
+from mphygs.fit.part_scales import on_by_part
 from mphygs.fit.problem import Evaluation
 from mphygs.fit.schedule import TRACTABLE
 from mphygs.fit.stiffness_scale import (
@@ -24,6 +26,8 @@ from mphygs.model.belief import Belief
 # Diagnosis looks at the first frames over which the misfit is between this and TRACTABLE [sigma].
 VISIBLE = 1.25
 WINDOWS = (0.25, 0.4, 0.55, 0.75)
+# Share of the cost that the last step of a fit to a window may promise.
+ACCURACY = 1e-3
 SHORTER = (0.16, 0.1, 0.06)
 # Of common scales at which a gross model is hardly worse than at the best so many are looked from.
 OTHERS = 3
@@ -123,10 +127,12 @@ def tractable_window(
     if not current.added and best is None:
         belief = find_scale(experiment.window(spacing, WINDOWS[0]), with_materials_at_prior(belief))
 
-    def fitted(share: float, start: Belief) -> Solution:
-        solution = minimise(
-            experiment.window(spacing, share), start, iterations=8, relative_tolerance=1e-3, gross=TRACTABLE
-        )
+    def fitted(share: float, start: Belief, *, anew: bool = False) -> Solution:
+        problem = experiment.window(spacing, share)
+        again = partial(minimise, problem, iterations=8, relative_tolerance=ACCURACY, gross=TRACTABLE)
+        solution = again(start)
+        if anew:
+            solution = on_by_part(problem, solution, again, accuracy=ACCURACY, say=say)
         say(f"window of {share:.0%} of the frames: {ratio_of(solution.evaluation):.3f} sigma")
         return solution
 
@@ -143,7 +149,7 @@ def tractable_window(
 
     shares = [share for share in WINDOWS if best is None or share > HALF]
     if best is None:
-        shortest, beyond = fitted(WINDOWS[0], belief), WINDOWS[0]
+        shortest, beyond = fitted(WINDOWS[0], belief, anew=not current.added), WINDOWS[0]
         for share in SHORTER:
             if ratio_of(shortest.evaluation) < TRACTABLE:
                 break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from mphygs.compare.assess import BUDGET_FLOOR
 from mphygs.diagnose.wall import hold_friction, release_friction
@@ -11,6 +12,7 @@ from mphygs.extend.finer_grid import jacobian_source
 from mphygs.extend.onset_fit import fit_onset_then_all, with_onset_fitted
 from mphygs.fit.borrowed_jacobians import approached
 from mphygs.fit.experiment import Experiment
+from mphygs.fit.part_scales import on_by_part
 from mphygs.fit.problem import Problem
 from mphygs.fit.stiffness_scale import find_scale, with_materials_at_prior
 from mphygs.model.belief import Belief
@@ -87,15 +89,16 @@ def onset_refitted(
         problem = experiment.window(spacing, share)
         # Far from the minimum a step of the coarse grid may lead to where that grid carries nothing.
         jacobian_problem = None if far else jacobian_source(experiment, spacing, share)
-        found = fit_onset_then_all(
+        again = partial(
+            fit_onset_then_all,
             problem,
-            start,
             iterations=iterations,
             jacobian_problem=jacobian_problem,
             accuracy=ACCURACY,
             report=tell,
         )
-        return found.belief
+        found = again(start)
+        return (on_by_part(problem, found, again, accuracy=ACCURACY) if far else found).belief
 
     belief = hold_friction(belief)
     before = [BEFORE * share * window_share for share in (0.5, 1.0)]

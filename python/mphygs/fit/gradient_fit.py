@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.fit.gradient_optimisers import minimise_by_gradient
 from mphygs.fit.levenberg_marquardt import Solution
+from mphygs.fit.part_scales import on_by_part
 from mphygs.fit.problem import Problem
 from mphygs.fit.schedule import ScheduleStage, plan_of
 from mphygs.fit.stiffness_scale import find_scale
@@ -55,14 +57,17 @@ def fit_by_gradient(
             if report and iteration % GRADIENTS == 0:
                 report(f"{stage.name} ({1e3 * stage.spacing:.3g} mm): iteration {iteration}, cost {cost:.4g}")
 
-        solution = minimise_by_gradient(
+        again = partial(
+            minimise_by_gradient,
             problem,
-            belief,
             method=method,
             iterations=GRADIENTS * stage.iterations,
             relative_tolerance=stage.accuracy,
             report=tell,
         )
+        solution = again(belief)
+        if not warm and (number == 0 or stage.share > plan[number - 1].share):
+            solution = on_by_part(problem, solution, again, accuracy=stage.accuracy, say=report)
         belief = solution.belief
         problems[stage.spacing].predictors.update(problem.predictors)
         if after_stage:

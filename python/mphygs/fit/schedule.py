@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.fit.levenberg_marquardt import Solution, minimise, report_of_iterations
 from mphygs.fit.other_minima import lower_along, lowest_of, other_minima
+from mphygs.fit.part_scales import on_by_part
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.spacings import FINE, deciding_spacing, default_spacing
 from mphygs.fit.stiffness_scale import find_scale, simulable
@@ -166,7 +168,11 @@ def fit_belief(
             "dwell": dwell,
             "least": stage.least,
         }
-        solution = minimise(problem, belief, report=tell, **given)
+        again = partial(minimise, problem, report=tell, **given)
+        solution = again(belief)
+        if not warm and (number == 0 or stage.share > plan[number - 1].share):
+            # Frames that no stage has seen may be the first to show what a part is like.
+            solution = on_by_part(problem, solution, again, accuracy=stage.accuracy, say=report)
         if number and stage.share == plan[number - 1].share and misfit < HOPELESS:
             coarse = problem_at(plan[number - 1].spacing)
             solution = lowest_of(problem, solution, other_minima(coarse, last), report, **given)

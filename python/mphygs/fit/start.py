@@ -11,7 +11,7 @@ from mphygs.fit.actuator_parameters import actuator_parameters
 from mphygs.fit.first_frames import start_parameters
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW, material_effects
-from mphygs.model.substances import substance
+from mphygs.model.substances import substances_by_part
 
 # Soft tissue and plants to hard rubber; a prior this wide moves no number that the data determine.
 YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD = 1e5, 2.5
@@ -37,20 +37,16 @@ def starting_belief(
     at rest, and the named effects.
 
     prestress: off, paper or equilibrium; None takes equilibrium for a capture whose rest says so; preset:
-    name of a substance whose usual stiffness and density it starts from and its priors are about.
-    Raises ValueError for a capture without parts, or with a measured start that its markers do not show.
+    substance, or substances by part (see `substances_by_part`), whose usual stiffness and density it starts
+    from and its priors are about. Raises ValueError for a capture without parts, or with a measured start
+    that its markers do not show, and for a preset that names no part; KeyError for an unknown one.
     """
     if not capture.parts:
         raise ValueError(f"capture '{capture.name}': expected parts given as meshes")
     known = capture.known
     volume = {part.name: part.volume for part in capture.parts}
-    own = None if preset is None else substance(preset)
-    stiffness, spread = YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD
-    if own is not None:
-        stiffness, spread = own.median, own.spread
-    guess = DEFAULT_DENSITY if own is None else own.density
-    if known.density:
-        guess = float(np.mean(list(known.density.values())))
+    substances = {} if preset is None else substances_by_part(preset, [part.name for part in capture.parts])
+    guess = float(np.mean(list(known.density.values()))) if known.density else DEFAULT_DENSITY
     if known.mass is not None:
         rest = known.mass - sum(known.density[n] * volume[n] for n in known.density)
         free_volume = sum(v for n, v in volume.items() if n not in known.density)
@@ -62,6 +58,11 @@ def starting_belief(
     density_bounds = (min([density_bounds[0], *stated]), max([density_bounds[1], *stated]))
     parameters = []
     for part in capture.parts:
+        own = substances.get(part.name)
+        stiffness, spread = YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD
+        if own is not None:
+            stiffness, spread = own.median, own.spread
+        density = own.density if own is not None and not informed else guess
         ratio = known.poissons_ratio
         if isinstance(ratio, dict):
             ratio = ratio.get(part.name)
@@ -78,12 +79,12 @@ def starting_belief(
             ),
             Parameter(
                 f"{part.name}.density",
-                known.density.get(part.name, guess),
+                known.density.get(part.name, density),
                 "kg/m^3",
                 *density_bounds,
                 log=True,
                 free=part.name not in known.density,
-                prior_mean=math.log(guess),
+                prior_mean=math.log(density),
                 prior_std=DENSITY_SPREAD,
             ),
             Parameter(

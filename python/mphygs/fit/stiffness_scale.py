@@ -9,12 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from mphygs.fit.problem import Problem
+from mphygs.fit.start import DENSITY_FACTOR
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 
-# How far any part's stiffness may be from the common scale that was found: without a bound a model that
-# lacks an effect makes a part of jelly that its own weight crushes.
-CONTRAST = 40.0
+# Parts are looked for by decades about the common scale, and about where a fit took them (see part_scales).
+DECADE = 10.0
+# How far a fit may take a part's stiffness from the scale that was found for it: a decade to either side is
+# looked at, at a density that may be as far off as densities may. Without a bound a model that lacks an
+# effect makes a part of jelly that its own weight crushes.
+CONTRAST = DECADE * DENSITY_FACTOR
 # So many times the stiffest other part: what is beyond may be a coarse grid's own.
 FAR_STIFFER = 2.0
 # A rest shape that has to be solved for takes long where it is too soft: after so many factors in a row that

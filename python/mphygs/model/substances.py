@@ -17,7 +17,9 @@ One table, with sources; a range is told somewhat wider than its source where th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,32 @@ def substance(name: str) -> Substance:
         if known.name == name:
             return known
     raise KeyError(f"unknown preset '{name}'; expected one of {', '.join(s.name for s in SUBSTANCES)}")
+
+
+def substances_of(preset: str) -> list[tuple[str, Substance]]:
+    """The entries of a preset, pattern of parts' names and substance: "stem" is for all parts,
+    "stem=stem,petal*=petal" by part. Raises ValueError for an empty one, KeyError for a substance unknown."""
+    entries = []
+    for entry in preset.split(","):
+        part, between, name = entry.rpartition("=")
+        if not name.strip() or (between and not part.strip()):
+            raise ValueError(f"got '{preset}'; expected a substance, or part=substance,part=substance")
+        entries.append((part.strip() if between else "*", substance(name.strip())))
+    return entries
+
+
+def substances_by_part(preset: str, parts: Sequence[str]) -> dict[str, Substance]:
+    """The substance of every part that a preset names, by the last entry that does.
+
+    Raises ValueError where an entry names no part, and as `substances_of`.
+    """
+    found = {}
+    for pattern, own in substances_of(preset):
+        named = [part for part in parts if part == pattern or fnmatchcase(part, pattern)]
+        if not named:
+            raise ValueError(f"no part '{pattern}'; expected some of {', '.join(parts)}")
+        found |= dict.fromkeys(named, own)
+    return found
 
 
 def like(youngs_modulus: float) -> str:

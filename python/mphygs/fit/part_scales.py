@@ -1,0 +1,107 @@
+"""Parts that are far apart in stiffness: each one's own scale, where the common one leaves a part behind.
+
+Beside a stem a hundred times as stiff a petal at the stem's modulus is rigid: it moves as the stem takes it
+whatever its modulus, no tangent leads back, and bounds about the common scale would keep it from there.
+So where a fit ends above the noise one part after the other is tried softer and stiffer by decades, which
+costs two runs a part and no derivative; the fit goes on from what fits better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from mphygs.fit.levenberg_marquardt import TOLERANCE, Solution, worth_a_step
+from mphygs.fit.problem import Evaluation, Problem
+from mphygs.fit.stiffness_scale import CONTRAST, DECADE
+from mphygs.model.belief import Belief, Parameter
+from mphygs.simulate.errors import SimulationError
+
+# A fit that leaves less [sigma] has no part so far from its modulus that it shows: other parts, or more
+# frames, would have to tell it.
+LEFT = 2.0
+
+
+def on_by_part(
+    problem: Problem,
+    found: Solution,
+    again: Callable[[Belief], Solution],
+    *,
+    accuracy: float,
+    say: Callable[[str], None] | None = None,
+) -> Solution:
+    """A solution of a problem, and on from where a part is softer or stiffer by decades as long as that fits
+    better. One near the noise, or of a single stiffness, is left as it is.
+
+    again: the fit from such a belief; accuracy: share of the cost that a last step of it may promise; say:
+    told what moved.
+    """
+    while found.evaluation.misfit > LEFT:
+        other = other_scales(problem, found.belief, found.evaluation, accuracy, say)
+        if other is None:
+            break
+        on = again(other)
+        found = replace(on, history=(*found.history, *on.history))
+    return found
+
+
+def other_scales(
+    problem: Problem,
+    belief: Belief,
+    evaluation: Evaluation,
+    accuracy: float,
+    say: Callable[[str], None] | None = None,
+) -> Belief | None:
+    """The belief with every free stiffness moved by decades as far as each of them lowers the cost, one part
+    after the other; None where no part brings what another step of a fit is worth (see `worth_a_step`).
+
+    evaluation: of the belief. A part that moved has its bounds about its own scale.
+    """
+    keys = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
+    if len(keys) < 2:
+        return None
+    cost, worth, moved = evaluation.cost, worth_a_step(evaluation, TOLERANCE, accuracy), False
+    for key in keys:
+        for factor in _factors(belief[key]):
+            lower, trial = _onward(problem, belief, key, factor, cost)
+            if lower > cost - worth:
+                continue
+            if say:
+                say(f"{key} {trial[key].value:.3g} Pa: cost {lower:.4g} of {cost:.4g}")
+            belief, cost, moved = trial, lower, True
+            break
+    return belief if moved else None
+
+
+def _factors(stiffness: Parameter) -> list[float]:
+    """By which a stiffness is tried: less than a decade too where it ended at a bound about its scale, with
+    the minimum just beyond."""
+    factors = [1.0 / DECADE, DECADE]
+    if stiffness.widest is None:
+        return factors
+    less = [DECADE**0.5, DECADE**0.25]
+    if stiffness.widest[0] < stiffness.lower == stiffness.value:
+        factors += [1.0 / factor for factor in less]
+    elif stiffness.value == stiffness.upper < stiffness.widest[1]:
+        factors += less
+    return factors
+
+
+def _onward(problem: Problem, belief: Belief, key: str, factor: float, cost: float) -> tuple[float, Belief]:
+    """The lowest cost, and the belief there, with one stiffness times a factor, times its square and so on as
+    long as the cost falls."""
+    best = cost, belief
+    while True:
+        wide = best[1][key].widened()
+        value = min(max(wide.value * factor, wide.lower), wide.upper)
+        if value == wide.value:
+            return best
+        own = replace(wide, value=value).narrowed(CONTRAST)
+        trial = replace(belief, parameters=tuple(own if p.key == key else p for p in belief.parameters))
+        try:
+            reached = problem.evaluate(trial, jacobian=False).cost
+        except SimulationError:
+            return best
+        if reached >= best[0]:
+            return best
+        best = reached, trial
