@@ -100,9 +100,10 @@ def fit(
     """Fit materials, and the effects named, as `mphygs fit` does, to the same numbers.
 
     capture: a capture or its folder, None for a small one made on the spot; out: run folder, by default a
-    temporary one that goes with the result; spacing: of the grid [m]; frames: (i, j), fits i to j - 1; preset: of
-    all parts, or by part; the others as the command's options; progress: told the share of the work done, 0 to
-    1, and a line. Raises InputError or FailedError, with the line that the command would have ended in.
+    temporary one that goes with the result; spacing: of the grid [m]; frames: (i, j), fits i to j - 1;
+    preset: of all parts, or by part; the others as the command's options; progress: told the share of the
+    work done, 0 to 1, and a line.
+    Raises InputError or FailedError, with the line that the command would have ended in.
     """
     folder, home = place(out)
 
