@@ -9,6 +9,7 @@ import trimesh
 from mphygs.capture.format import Part
 from mphygs.report.motion_data import LARGEST, MISSING, modes_of, motion_document, quantise
 from mphygs.report.skin import nearest_markers, skin_of
+from thin_meshes import sheet_mesh
 
 # Low and high of what is packed [m].
 BOX = (np.full(3, -0.15), np.full(3, 0.15))
@@ -43,6 +44,19 @@ def test_skin_is_fine_enough_to_bend_and_keeps_the_shape() -> None:
     assert volume == pytest.approx(ball.volume, rel=0.05)
 
 
+def test_the_skin_of_a_sheet_keeps_both_of_its_faces() -> None:
+    """Put together across its thickness it would be one layer, of triangles that face either way."""
+    u, w = np.meshgrid(np.linspace(0, 0.05, 160), np.linspace(-0.015, 0.015, 100), indexing="ij")
+    sheet = Part("sheet", *sheet_mesh(np.stack([u, w, 10.0 * u**2 + 5.0 * w**2], axis=2), 3e-4))
+    skin = skin_of((sheet,), 1500)
+    assert 500 < len(skin.points) <= 1500
+    mesh = trimesh.Trimesh(skin.points, skin.faces, process=False)
+    assert mesh.area == pytest.approx(sheet.area, rel=0.03)
+    up = mesh.area_faces[mesh.face_normals[:, 2] > 0.5].sum()
+    down = mesh.area_faces[mesh.face_normals[:, 2] < -0.5].sum()
+    assert up == pytest.approx(down, rel=0.02) and mesh.volume == pytest.approx(sheet.volume, rel=0.2)
+
+
 def test_a_vertex_is_painted_by_markers_of_its_own_part() -> None:
     skin = skin_of((box("a", 0.0, 0.05), box("b", 0.05, 0.1)), 200)
     x = np.linspace(0.002, 0.098, 16)
@@ -74,6 +88,24 @@ def test_positions_survive_packing() -> None:
     assert (whole[7] == MISSING).all()
     back = (whole + float(LARGEST)) / (2 * LARGEST) * (high - low) + low
     assert np.nanmax(np.abs(np.delete(back - values, 7, axis=0))) < 1e-5
+
+
+def test_a_measurement_far_from_the_prediction_is_shown_where_it_is() -> None:
+    predicted = np.random.default_rng(2).uniform(0.0, 0.1, (6, 5, 3))
+    predicted[0, 0], predicted[0, 1] = 0.0, 0.1
+    measured = predicted[:, :4].copy()
+    measured[3, 1, 2] = 0.18  # a petal that the model holds back
+    measured[4, 2, 2] = 50.0  # a bad track
+    document = motion_document(
+        fps=60.0, measured=measured, models={"a": predicted}, fit=(0, 3), sigma=1e-4
+    )
+    low, high = np.array(document["low"]), np.array(document["high"])
+    whole = np.frombuffer(base64.b64decode(document["measured"]), "<i2").reshape(6, 4, 3)
+    back = (whole + float(LARGEST)) / (2 * LARGEST) * (high - low) + low
+    assert back[3, 1, 2] == pytest.approx(0.18, abs=1e-5)
+    assert back[4, 2, 2] == pytest.approx(high[2], abs=1e-5) and high[2] < 0.21
+    errors = np.frombuffer(base64.b64decode(document["models"][0]["errors"]), "<f4").reshape(6, 4)
+    assert errors[4, 2] == pytest.approx(50.0 - predicted[4, 2, 2])
 
 
 def test_motions_are_kept_within_their_budget() -> None:

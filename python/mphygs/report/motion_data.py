@@ -117,6 +117,12 @@ def motion_document(
         ends = arrows.reshape(-1, 3)
         everything = np.concatenate([everything, ends[np.isfinite(ends).all(1)]])
     rank = _rank(next(iter(models.values())), len(models), budget)
+    # A measurement is shown where it is as far as the object's size from all that is predicted; one that is
+    # farther off stays at the rim of the box, and its error is told in full.
+    seen = measured[shown].reshape(-1, 3)
+    seen = seen[np.isfinite(seen).all(1)]
+    seen = np.clip(seen, everything.min(0) - extent, everything.max(0) + extent)
+    everything = np.concatenate([everything, seen])
     low, high = everything.min(0) - 0.02 * extent, everything.max(0) + 0.02 * extent
     document = {
         "fps": fps,
@@ -126,7 +132,6 @@ def motion_document(
         "markers": markers,
         "sigma": sigma,
         "fit": list(fit),
-        # A measurement that is far off stays at the rim of the box; its error is told in full.
         "measured": quantise(measured[shown], low, high),
         "models": [
             {

@@ -49,12 +49,29 @@ def _resized(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.nd
     if len(vertices) <= 1.1 * count:
         return np.asarray(vertices), np.asarray(faces)
     low, reach = vertices.min(0), float(np.ptp(vertices, axis=0).max())
+    side = _side(vertices, faces)
+
+    def cells_of(edge: float) -> np.ndarray:
+        """(V, 4): the two faces of a sheet that is thinner than a cell are not put together."""
+        return np.column_stack([np.floor((vertices - low) / edge).astype(np.int64), side])
+
     fine, coarse = 0.0, reach * 1.001
     for _ in range(30):
         edge = 0.5 * (fine + coarse)
-        cells = len(np.unique(np.floor((vertices - low) / edge).astype(np.int64), axis=0))
+        cells = len(np.unique(cells_of(edge), axis=0))
         fine, coarse = (edge, coarse) if cells > count else (fine, edge)
-    return _clustered(vertices, faces, np.floor((vertices - low) / coarse).astype(np.int64))
+    return _clustered(vertices, faces, cells_of(coarse))
+
+
+def _side(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) which of the six directions along the axes the normal of each vertex is nearest to."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    own = np.cross(b - a, c - a)
+    normal = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normal, faces[:, corner], own)
+    axis = np.abs(normal).argmax(1)
+    return 2 * axis + (np.take_along_axis(normal, axis[:, None], axis=1)[:, 0] > 0.0)
 
 
 def _clustered(vertices: np.ndarray, faces: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
