@@ -279,7 +279,14 @@ def extent(body: Body) -> float:
 
 def place_digits(body: Body) -> int:
     """Digits after the point of a length [m], millimetres at least, that tell points of two cells apart."""
-    return max(3, int(np.ceil(-np.log10(0.29 * float(np.min(body.quadrature.spacing))))))
+    # Along what a rod or a sheet has one cell of there are no two.
+    apart = [
+        edge for part, cells in body.cells_of_part.items()
+        for edge, several in zip(body.quadrature.spacings[part], np.ptp(cells, axis=0) > 0, strict=True)
+        if several
+    ]  # fmt: skip
+    cell = float(min(apart, default=np.max(body.quadrature.spacings)))
+    return max(3, int(np.ceil(-np.log10(0.29 * cell))))
 
 
 def place_text(place: np.ndarray, digits: int) -> str:
