@@ -47,11 +47,11 @@ def moved_flower() -> Capture:
     motion[:, 2] = 0.5 * motion[:, 0]
     capture = held_capture(
         parts, box=[[-1, -1, -1], [1, 1, 0]], frames=FRAMES, motion=motion, markers=np.concatenate(places),
-        fit=(0, FRAMES),
+        fit=(0, FRAMES), gravity=(0.0, 0.0, -9.81), rest="equilibrium",
     )  # fmt: skip
     known = Known(density={part.name: 800.0 for part in parts}, poissons_ratio=0.3)
     capture = replace(capture, known=known)
-    truth = bar_belief(capture, youngs_modulus=[TRUTH[part.name] for part in parts], density=800.0)
+    truth = bar_belief(capture, youngs_modulus=[TRUTH[p.name] for p in parts], density=800.0, prestress="equilibrium")
     (recording,) = capture.sequences
     settings = Settings(SPACING, workers=1, dtype="float64")
     position = Predictor(capture, recording, settings).predict(truth).position
