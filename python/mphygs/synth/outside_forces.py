@@ -29,7 +29,7 @@ def body_field(gravity: np.ndarray, v: np.ndarray, time: float, effects: Mapping
 
 
 def drag(v: np.ndarray, area: np.ndarray, effects: Mapping[str, Values]) -> np.ndarray | float:
-    """(N, 3) [N] of air, still and moved, on areas (N,) [m^2] of velocity v (N, 3) [m/s]; 0 without either."""
+    """(N, 3) [N] of air, still and moved, on areas (N,) [m^2] of velocity v (N, 3) [m/s]; 0 without."""
     force: np.ndarray | float = 0.0
     for name in ("air_drag", "wind"):
         if name in effects:

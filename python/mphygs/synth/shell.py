@@ -1,0 +1,2 @@
+def simulate_shell(*a, **k):
+    raise RuntimeError
