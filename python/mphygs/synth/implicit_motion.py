@@ -11,15 +11,15 @@ from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 # Spectral radius at infinite frequency: what a step leaves of the fastest.
 LEFT = 0.7
 # Newton's steps end where no unknown changes by more than this [m, rad]. Factors are made anew where a
-# correction is no smaller than this share of the one before.
-CONVERGED, STALE = 1e-10, 0.1
-MOST_CORRECTIONS = 40
+# correction is no smaller than this share of the one before: they cost tens of corrections.
+CONVERGED, STALE = 1e-10, 0.4
+MOST_CORRECTIONS = 60
 
 State = object
 
@@ -114,3 +114,10 @@ def march(structure: Structure, start: State, begin: float, step: float, count: 
             raise RuntimeError(f"no step of {step:.3g} s is found at {time:.4g} s; shorter steps may be")
         algorithmic = algorithmic + (1.0 - alpha_f) / (1.0 - alpha_m) * acceleration
         yield Moment(state, velocity, acceleration)
+
+
+def assembled(blocks: np.ndarray, entry: np.ndarray, size: int) -> csc_matrix:
+    """Sparse sum of blocks (B, n, n) at rows and columns `entry` (B, n)."""
+    rows = np.broadcast_to(entry[:, :, None], blocks.shape)
+    columns = np.broadcast_to(entry[:, None, :], blocks.shape)
+    return csc_matrix(coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size)))

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse import csc_matrix
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import matrix_from_rotation_vector
 from mphygs.synth.causes import CAUSES, Material
+from mphygs.synth.implicit_motion import assembled
 from mphygs.synth.outside_forces import body_field, drag, tether
 from mphygs.synth.rod_net import SAME, rod_net
 from mphygs.synth.rod_strain import nodal_forces, strains
@@ -38,11 +39,12 @@ class RodState(NamedTuple):
 
 class Places(NamedTuple):
     """Material points (M, 3) [m] on elements (M,), `share` (M,) of the way from the first node to the second,
-    `aside` (M, 3) [m] of there."""
+    `aside` (M, 3) [m] of there; held: (M,) bool."""
 
     element: np.ndarray
     share: np.ndarray
     aside: np.ndarray
+    held: np.ndarray
 
 
 class RodBody:
@@ -140,7 +142,7 @@ class RodBody:
         blocks[:, [0, 1, 2], [0, 1, 2]] = self.mass[:, None]
         blocks[:, 3:, 3:] = self.turning
         entry = 6 * np.arange(len(blocks))[:, None] + np.arange(6)
-        return _assembled(blocks, entry, 6 * len(blocks))
+        return assembled(blocks, entry, 6 * len(blocks))
 
     def _within(self, box: np.ndarray) -> np.ndarray:
         return ((self.net.nodes >= box[0] - SAME) & (self.net.nodes <= box[1] + SAME)).all(axis=1)
@@ -167,15 +169,17 @@ class RodBody:
         aside = away - share[:, :, None] * self._rest
         element = np.linalg.norm(aside, axis=2).argmin(axis=1)
         row = np.arange(len(points))
-        return Places(element, share[row, element], aside[row, element])
+        held = self.held[self.net.element[element]].all(axis=1)
+        return Places(element, share[row, element], aside[row, element], held)
 
     def carried(
-        self, at: Places, state: RodState, velocity: np.ndarray
+        self, at: Places, state: RodState, velocity: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Where material points are (M, 3) [m] and how fast they move (M, 3) [m/s].
 
         Both are blended between two nodes, each of which carries the point as a rigid body.
         """
+        velocity = self._gripped(velocity, time, state)
         place, speed = np.zeros(at.aside.shape), np.zeros(at.aside.shape)
         for side, weight in ((0, 1.0 - at.share), (1, at.share)):
             node = self.net.element[at.element, side]
@@ -197,7 +201,7 @@ class RodBody:
         turn = matrix_from_rotation_vector(change[:, 3:])
         return RodState(state.place + change[:, :3], state.rotation @ turn)
 
-    def gripped_velocity(self, velocity: np.ndarray, time: float, state: RodState) -> np.ndarray:
+    def _gripped(self, velocity: np.ndarray, time: float, state: RodState) -> np.ndarray:
         """Velocities (N, 6) with those of the holds in place of what is gripped."""
         out, step = velocity.copy(), 1e-4
         for hold, within in zip(self.recording.held, self.gripped, strict=True):
@@ -248,7 +252,7 @@ class RodBody:
                     place, rotation, self.net.frame, self._rest, self.net.length, stiffness, late
                 )
                 columns.append((nudged.reshape(-1, 12) - plain) / NUDGE)
-        return _assembled(np.stack(columns, axis=2), self._entry, 6 * len(self.mass))
+        return assembled(np.stack(columns, axis=2), self._entry, 6 * len(self.mass))
 
     # ---- forces -------------------------------------------------------------------------------
     def _lagging(self, before: RodState, step: float) -> tuple[np.ndarray, np.ndarray | None]:
@@ -284,10 +288,3 @@ class RodBody:
             if begin <= time - 0.5 * step < end:
                 force = force + pull
         return force
-
-
-def _assembled(blocks: np.ndarray, entry: np.ndarray, size: int) -> csc_matrix:
-    """Sparse sum of blocks (B, n, n) at rows and columns `entry` (B, n)."""
-    rows = np.broadcast_to(entry[:, :, None], blocks.shape)
-    columns = np.broadcast_to(entry[:, None, :], blocks.shape)
-    return csc_matrix(coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size)))
