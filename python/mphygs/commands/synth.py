@@ -57,8 +57,8 @@ class SynthOptions(CommonOptions):
     fault: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
     """Faults of the measurement, in the same way: time_offset:offset=0.01."""
     motion: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
-    """Movements of the hold in the motion to fit, of cables of the far one: shake, rock, shift, turn; default:
-    as suits the object."""
+    """Movements of the hold in the motion to fit, of cables of the far one: shake, rock, shift, turn;
+    default: as suits the object."""
     start: Literal["rest", "pulled", "moving"] = "rest"
     """rest: the motion begins at rest; pulled: frame 0 is where the object, pulled aside, is let go; moving:
     frame 0 is in the midst of a movement of the hold."""

@@ -1,5 +1,4 @@
-"""Steps in time by the generalised alpha method (Chung and Hulbert 1993), turns among the unknowns (Arnold and
-Bruels 2007).
+"""Steps in time by the generalised alpha method (Chung and Hulbert 1993), with turns (Arnold, Bruels 2007).
 
 Of second order. What is far faster than a step fades, what is slower keeps its swing: of a motion of w
 [rad/s] with steps of h the share of critical damping is of the order of (w h)^3.

@@ -199,7 +199,9 @@ def two_handed_motion(kind: str) -> HoldMovement:
     """A movement of one hand at a cable's end, whose axis is along z. Raises ValueError for other kinds."""
     table = {
         "shake": HoldMovement("shake", 0.05, 1.45, by=(0.004, 0.008, 0.002), frequency=2.3, ramp=0.25),
-        "rock": HoldMovement("rock", 0.05, 1.45, axis=(0.0, 0.2, 1.0), degrees=60.0, frequency=1.4, ramp=0.25),
+        "rock": HoldMovement(
+            "rock", 0.05, 1.45, axis=(0.0, 0.2, 1.0), degrees=60.0, frequency=1.4, ramp=0.25
+        ),
         "shift": HoldMovement("shift", 0.1, 0.6, by=(-0.03, 0.025, 0.01)),
         "turn": HoldMovement("turn", 0.15, 0.75, axis=(0.0, 0.0, 1.0), degrees=100.0),
     }

@@ -26,7 +26,8 @@ KNOWN = (
     "gravity", "mass_damping", "air_drag", "wind", "attached_mass", "tether", "base_motion", "viscosity",
     "compressibility", "stiffness_gradient", "density_gradient",
 )  # fmt: skip
-# By what forces are differentiated: a change of this size [m, rad].
+# By what forces are differentiated, to both sides [m, rad]: to one, bending far softer than stretching would
+# be lost in what stretching leaves.
 NUDGE = 1e-7
 
 
@@ -225,7 +226,9 @@ class RodBody:
     ) -> np.ndarray:
         """(N, 6) internal less external forces [N] and torques [N m], the gyroscopic among them."""
         stiffness, late = self._lagging(before, step)
-        inside = self._element_forces(state, stiffness, late)
+        inside = self._forces(
+            state.place[self.net.element], state.rotation[self.net.element], stiffness, late
+        )
         out = np.zeros((len(self.mass), 6))
         np.add.at(out, self.net.element, inside)
         x, v, spin = state.place, velocity[:, :3], velocity[:, 3:]
@@ -236,22 +239,19 @@ class RodBody:
     def slope(self, state: RodState, before: RodState, step: float) -> csc_matrix:
         """(6 N, 6 N) of the internal forces, by differences of the elements' own."""
         stiffness, late = self._lagging(before, step)
-        plain = self._element_forces(state, stiffness, late).reshape(-1, 12)
         columns = []
         for side in (0, 1):
             for c in range(6):
-                place = state.place[self.net.element]
-                rotation = state.rotation[self.net.element]
-                change = np.zeros(3)
-                change[c % 3] = NUDGE
-                if c < 3:
-                    place[:, side] += change
-                else:
-                    rotation[:, side] = rotation[:, side] @ matrix_from_rotation_vector(change)
-                nudged = nodal_forces(
-                    place, rotation, self.net.frame, self._rest, self.net.length, stiffness, late
-                )
-                columns.append((nudged.reshape(-1, 12) - plain) / NUDGE)
+                both = []
+                for change in (NUDGE, -NUDGE):
+                    place, rotation = state.place[self.net.element], state.rotation[self.net.element]
+                    step_of = change * np.eye(3)[c % 3]
+                    if c < 3:
+                        place[:, side] += step_of
+                    else:
+                        rotation[:, side] = rotation[:, side] @ matrix_from_rotation_vector(step_of)
+                    both.append(self._forces(place, rotation, stiffness, late))
+                columns.append((both[0] - both[1]).reshape(-1, 12) / (2.0 * NUDGE))
         return assembled(np.stack(columns, axis=2), self._entry, 6 * len(self.mass))
 
     # ---- forces -------------------------------------------------------------------------------
@@ -264,10 +264,10 @@ class RodBody:
         strain = strains(*own, self.net.frame, self._rest, self.net.length)
         return self.stiffness * (1.0 + share), share / (1.0 + share) * strain
 
-    def _element_forces(
-        self, state: RodState, stiffness: np.ndarray, late: np.ndarray | None
+    def _forces(
+        self, place: np.ndarray, rotation: np.ndarray, stiffness: np.ndarray, late: np.ndarray | None
     ) -> np.ndarray:
-        place, rotation = state.place[self.net.element], state.rotation[self.net.element]
+        """(E, 2, 6) of the elements' nodes, places (E, 2, 3) [m], rotations (E, 2, 3, 3)."""
         return nodal_forces(place, rotation, self.net.frame, self._rest, self.net.length, stiffness, late)
 
     def _outside(self, x: np.ndarray, v: np.ndarray, time: float, step: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Objects of closed convex prisms or of blocks that touch exactly where they meet, and all objects by name."""
+"""Objects of closed convex prisms or of blocks that touch exactly where they meet; all objects by name."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from mphygs.capture.meshes import Part
 from mphygs.synth.prisms import blocks, polygon, prism, rectangle
 from mphygs.synth.shape import Shape
 from mphygs.synth.thin_shapes import branched_cable, cable, strip

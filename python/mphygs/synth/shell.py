@@ -34,7 +34,8 @@ def simulate_shell(
     """True motion of the markers of one recording.
 
     spacing: of a grid as fine as the elements [m]; progress: told the number of frames after release that are
-    done. Raises ValueError for objects and effects that it does not know, RuntimeError where no step is found.
+    done. Raises ValueError for objects and effects that it does not know, RuntimeError where no step is
+    found.
     """
     if recipe.shape.sheet is None:
         raise ValueError(f"the simulator shell has no '{recipe.shape.name}'; expected strip")

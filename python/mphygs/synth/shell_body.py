@@ -32,8 +32,8 @@ SAME = 1e-9
 
 
 class Feet(NamedTuple):
-    """Material points (M, 3) at rest: control points (M, 16), shares (M, 3, 16) of the place and two slopes at
-    their feet, height (M,) above there [m]; held: (M,) bool."""
+    """Material points `at` (M, 3) at rest [m]: control points (M, 16), shares (M, 3, 16) of the place and of
+    two slopes at their feet, height (M,) above there [m]; held: (M,) bool."""
 
     at: np.ndarray
     control: np.ndarray

@@ -1,4 +1,4 @@
-"""Thin shells by Kirchhoff and Love (Kiendl, Bletzinger, Linhard and Wuechner 2009): strains and their forces.
+"""Thin shells by Kirchhoff and Love (Kiendl et al. 2009): strains, and the forces of their energy.
 
 Of a middle surface with slopes a_1, a_2 and normal a_3, A at rest,
 
@@ -27,7 +27,8 @@ def local_axes(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # a_1 = length e_1, a_2 = along e_1 + height e_2; its inverse turns the components.
     height = area / length
     inverse = np.zeros((len(one), 2, 2))
-    inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 1, 0] = 1.0 / length, 1.0 / height, -along / (length * height)
+    inverse[:, 0, 0], inverse[:, 1, 1] = 1.0 / length, 1.0 / height
+    inverse[:, 1, 0] = -along / (length * height)
     out = np.empty((len(one), 3, 3))
     for row, (i, j) in enumerate(PAIRS):
         for column, (a, b) in enumerate(PAIRS):
@@ -46,11 +47,12 @@ def normal(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fundamental(slopes: np.ndarray) -> np.ndarray:
-    """(Q, 6): a_11, a_22, 2 a_12 of the first form, halved, and b_11, b_22, 2 b_12 of the second, negative."""
+    """(Q, 6): halves of a_11, a_22 and 2 a_12 of the first form, and -b_11, -b_22, -2 b_12 of the second."""
     a3, _ = normal(slopes)
     first = [np.einsum("qc,qc->q", slopes[:, a], slopes[:, b]) for a, b in PAIRS]
     second = np.einsum("qkc,qc->kq", slopes[:, 2:], a3)
-    return np.stack([0.5 * first[0], 0.5 * first[1], first[2], -second[0], -second[1], -2.0 * second[2]], axis=1)
+    both = [0.5 * first[0], 0.5 * first[1], first[2], -second[0], -second[1], -2.0 * second[2]]
+    return np.stack(both, axis=1)
 
 
 def slope_forces(slopes: np.ndarray, stress: np.ndarray) -> np.ndarray:

@@ -28,7 +28,9 @@ def check_film(name: str, known: Sequence[str], recording: Recording, hidden: Se
         raise ValueError(f"the simulator {name} has no sensors and no drive; expected markers alone")
     for thing in hidden:
         if (thing.kind == "effect" and thing.name not in known) or thing.name in INSIDE:
-            raise ValueError(f"the simulator {name} has no '{thing.name}'; expected some of {', '.join(known)}")
+            raise ValueError(
+                f"the simulator {name} has no '{thing.name}'; expected some of {', '.join(known)}"
+            )
 
 
 def film(

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from mphygs.capture.meshes import Part
+from mphygs.synth.prisms import prism, rectangle
 from mphygs.synth.rod_net import Line
 from mphygs.synth.rod_section import regular_polygon
-from mphygs.synth.prisms import prism, rectangle
 from mphygs.synth.shape import Shape
 from mphygs.synth.shell_sheet import Sheet
 
@@ -103,9 +103,9 @@ def cable(*, radius: float = 0.002, bend: float = 0.08, leg: float = 0.02, split
 
 
 def branched_cable(
-    *, radius: float = 0.002, bend: float = 0.06, leg: float = 0.05, size: float = 0.01
+    *, radius: float = 0.002, bend: float = 0.04, leg: float = 0.05, size: float = 0.01
 ) -> Shape:
-    """A cable that forks at a block: the trunk from the first hand, one branch to the second, one hanging free.
+    """A cable that forks at a block: trunk from the first hand, one branch to the second, one hanging free.
 
     size: of the block, a cube [m]; leg: of the trunk and of the free branch, bend: radius of the other [m].
     """
