@@ -45,11 +45,12 @@ class SynthOptions(CommonOptions):
             "cable",
             "branched-cable",
             "strip",
+            "thin-flower",
             "flower",
         ]
     ]
-    """The object; cable, branched-cable and strip are thin and as stiff as such things are; flower, seen in
-    pictures, has options of its own: synth flower --help."""
+    """The object; cable, branched-cable, strip and thin-flower are as thin and as stiff as such things are;
+    flower, seen in pictures, has options of its own: synth flower --help."""
     out: Path
     """Folder to write the capture and its answer.json to."""
     hidden: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None

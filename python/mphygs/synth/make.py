@@ -13,6 +13,8 @@ import numpy as np
 from mphygs.capture.format import Capture, Hold, Known, Load, Markers, save_capture
 from mphygs.capture.motions import hold_poses, ramp
 from mphygs.capture.record import Sequence as Recording
+from mphygs.fit.spacings import default_spacing
+from mphygs.simulate.settings import TRANSFERS
 from mphygs.synth.drive import arriving, stated
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
@@ -58,7 +60,7 @@ def make_capture(
     faults = {thing.name: thing.values for thing in recipe.of_kind("fault")}
     offset = faults["time_offset"]["offset"] if "time_offset" in faults else 0.0
     capture = _bare_capture(recipe, folder, places)
-    spacing = truth_spacing(recipe.spacing_share, sum(part.volume for part in capture.parts))
+    spacing = _spacing(recipe, capture)
     run = INDEPENDENT.get(recipe.simulator, simulate_truth)
     physics = tuple(h for h in recipe.hidden if h.kind != "fault")
     compared = bool(recipe.hidden and measure_signal)
@@ -95,6 +97,14 @@ def make_capture(
         json.dumps(answer, indent=1, allow_nan=False) + "\n", encoding="utf-8"
     )
     return Made(folder, answer)
+
+
+def _spacing(recipe: Recipe, capture: Capture) -> float:
+    """Of the truth's grid or nodes [m]. What is thin is of rods and sheets in the core's grids, by volume in
+    those that are none."""
+    if recipe.simulator in TRANSFERS and any(part.shape != "solid" for part in capture.parts):
+        return recipe.spacing_share * default_spacing(capture)
+    return truth_spacing(recipe.spacing_share, sum(part.volume for part in capture.parts))
 
 
 def _marker_places(recipe: Recipe) -> np.ndarray:

@@ -155,7 +155,8 @@ def default_takes(
     if kind.far_hold is not None:
         return _two_handed_takes(kind, frames=frames, kinds=kinds, start=start)
     lying = kind.rest == "stress-free"
-    fps, release = (60.0, 2) if lying else (30.0, None)
+    thin = any(part.shape != "solid" for part in kind.parts)
+    fps, release = 60.0 if lying or thin else 30.0, 2 if lying else None
     first = kinds or (("shift",) if lying else ("shake", "turn"))
     second = ("shake", "turn") if lying else ("rock", "shift")
     split = round(0.625 * frames)

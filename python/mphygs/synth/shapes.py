@@ -9,7 +9,7 @@ import numpy as np
 from mphygs.capture.meshes import Part
 from mphygs.synth.prisms import blocks, polygon, prism, rectangle
 from mphygs.synth.shape import Shape
-from mphygs.synth.thin_shapes import branched_cable, cable, strip
+from mphygs.synth.thin_shapes import branched_cable, cable, strip, thin_flower
 
 
 def leaf(root: float, length: float, half_width: float, root_half_width: float, side: int) -> np.ndarray:
@@ -169,6 +169,7 @@ SHAPES: Mapping[str, Callable[..., Shape]] = {
     "cable": cable,
     "branched-cable": branched_cable,
     "strip": strip,
+    "thin-flower": thin_flower,
 }
 
 

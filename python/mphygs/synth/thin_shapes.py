@@ -1,7 +1,7 @@
-"""Cables and strips at true stiffness and thickness, with the lines and sheets that they are.
+"""Cables, strips and a flower at true stiffness and thickness.
 
 A cable hangs as a U between two hands; a branched one forks below the first hand at a stiff block, one branch
-to the second hand and one free.
+to the second hand and one free. A flower has a stem of 3 mm and petals of 0.25 mm.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mphygs.capture.meshes import Part
-from mphygs.synth.prisms import prism, rectangle
+from mphygs.synth.prisms import polygon, prism, rectangle
 from mphygs.synth.rod_net import Line
 from mphygs.synth.rod_section import regular_polygon
 from mphygs.synth.shape import Shape
@@ -173,13 +173,58 @@ def strip(
     )
 
 
+def petal_places(length: float, width: float, curl: float, cup: float) -> np.ndarray:
+    """(33, 21, 3) [m] of the middle of a pointed sheet from x = 0, curled up along x and cupped [1/m]."""
+    u, w = np.linspace(0, 1, 33), np.linspace(-1, 1, 21)
+    half = width / 2 * (0.25 + 0.75 * np.sin(np.pi * (0.9 * u + 0.05)) ** 0.7)
+    s, y = np.meshgrid(u * length, w, indexing="ij")
+    y = y * half[:, None]
+    return np.stack([np.sin(s * curl) / curl, y, (1 - np.cos(s * curl)) / curl + cup * y**2 / 2], axis=2)
+
+
+def thin_flower(
+    *,
+    petals: int = 6,
+    radius: float = 0.0015,
+    thickness: float = 2.5e-4,
+    stem: float = 0.1,
+    head: float = 0.006,
+) -> Shape:
+    """An upright flower on z that carries its weight: a stem as a rod, a head, petals as shells.
+
+    radius: of the stem, head: half width and height of the head [m].
+    """
+    line = np.linspace(-GRIPPED, stem, 56)
+    line = np.stack([0.0 * line, 0.0 * line, line], axis=1)
+    parts = [_tube("stem", line, radius, 16), prism("head", polygon(head, 16), 2, stem, stem + head)]
+    vertices, faces = sheet_mesh(petal_places(0.035, 0.02, 15.0, 15.0), thickness)
+    for k in range(petals):
+        c, s = np.cos(2.0 * np.pi * k / petals), np.sin(2.0 * np.pi * k / petals)
+        place = vertices + [0.9 * head, 0.0, stem + 0.5 * head]
+        turned = place @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        parts.append(Part(f"petal{k + 1}", turned, faces, shape="shell"))
+    names = [part.name for part in parts[2:]]
+    return Shape(
+        name="thin-flower",
+        parts=tuple(parts),
+        hold=np.array([[-0.01, -0.01, -GRIPPED - 1e-3], [0.01, 0.01, 0.0]]),
+        pivot=np.zeros(3),
+        axis=np.array([0.0, 0.0, 1.0]),
+        tip=np.array([0.0, 0.0, stem + 0.9 * head]),
+        gravity=GRAVITY,
+        rest="equilibrium",
+        youngs_modulus={"stem": 3e8, "head": 1e7} | dict.fromkeys(names, 5e6),
+        density={"stem": 800.0, "head": 400.0} | dict.fromkeys(names, 800.0),
+    )
+
+
 def _stations(begin: float, end: float, radius: float) -> np.ndarray:
     """Evenly from begin to end [m], as far apart as rings of a cable's mesh are."""
     return np.linspace(begin, end, int(np.ceil((end - begin) / (RINGS * radius))) + 1)
 
 
-def _tube(name: str, line: np.ndarray, radius: float) -> Part:
-    return Part(name, *tube_mesh(line, radius), shape="rod")
+def _tube(name: str, line: np.ndarray, radius: float, sides: int = SIDES) -> Part:
+    return Part(name, *tube_mesh(line, radius, sides), shape="rod")
 
 
 def _hand(at: np.ndarray, radius: float) -> np.ndarray:
