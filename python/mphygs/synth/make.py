@@ -92,7 +92,12 @@ def make_capture(
     capture = replace(capture, sequences=tuple(recordings))
     save_capture(capture, folder)
     answer = _answer(recipe, differences, outliers, motions)
-    answer["simulation"] = {"simulator": recipe.simulator, "spacing": spacing, "substeps": substeps}
+    answer["simulation"] = {
+        "simulator": recipe.simulator,
+        "shares_code_with_the_model": recipe.simulator not in INDEPENDENT,
+        "spacing": spacing,
+        "substeps": substeps,
+    }
     (folder / "answer.json").write_text(
         json.dumps(answer, indent=1, allow_nan=False) + "\n", encoding="utf-8"
     )
