@@ -16,36 +16,16 @@ import time
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "python"))
 
 from bar_capture import bar_belief
-from mphygs.capture.meshes import Part
 from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
 from mphygs.simulate.settings import Settings
-from thin_meshes import held_capture, leaf, tube_mesh
-
-STEM, RADIUS, HEAD = 0.1, 0.0015, 0.006
-
-
-def flower(petals: int) -> list[Part]:
-    """Along z from the hold at z = 0."""
-    line = np.stack([np.linspace(-0.01, STEM, 56), *np.zeros((2, 56))], axis=1)
-    vertices, faces = tube_mesh(line, RADIUS, sides=16)
-    parts = [Part("stem", vertices[:, [1, 2, 0]], faces, shape="rod")]
-    head = trimesh.creation.cylinder(radius=HEAD, height=HEAD, sections=24)
-    vertices, faces = trimesh.remesh.subdivide(head.vertices, head.faces)
-    parts.append(Part("head", np.asarray(vertices) + [0, 0, STEM + HEAD / 2], np.asarray(faces, np.int64)))
-    petal = leaf(0.035, 0.02, 3e-4, curl=15.0, cup=15.0)
-    for k in range(petals):
-        c, s = np.cos(2 * np.pi * k / petals), np.sin(2 * np.pi * k / petals)
-        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        place = (petal.vertices + [0.9 * HEAD, 0.0, STEM + HEAD / 2]) @ turn.T
-        parts.append(Part(f"petal{k}", place, petal.faces, shape="shell"))
-    return parts
+from mphygs.synth.thin_shapes import thin_flower
+from thin_meshes import held_capture
 
 
 def main() -> None:
@@ -55,7 +35,7 @@ def main() -> None:
     parser.add_argument("--petals", type=int, default=6)
     parser.add_argument("--spacing", type=float, default=0.006, help="[m]")
     given = parser.parse_args()
-    fps, parts = 60.0, flower(given.petals)
+    fps, parts = 60.0, thin_flower(petals=given.petals, thickness=3e-4).parts
     times = np.arange(given.frames) / fps
     motion = np.zeros((given.frames, 3))
     motion[:, 0] = 0.01 * np.sin(2 * np.pi * 2.0 * times) * np.minimum(times / 0.2, 1.0)

@@ -47,7 +47,12 @@ def test_tip_is_in_the_material_and_the_hold_leaves_it_free(kind) -> None:
     meshes = [trimesh.Trimesh(p.vertices, p.faces, process=False) for p in body.parts]
     assert any((body.tip >= m.bounds[0]).all() and (body.tip <= m.bounds[1]).all() for m in meshes)
     assert not ((body.tip >= body.hold[0]) & (body.tip <= body.hold[1])).all()
-    assert (body.parts[0].bounds[0] >= body.hold[0]).all()
+    for box in (body.hold, body.hold if body.far_hold is None else body.far_hold):
+        gripped = [((p.vertices >= box[0]) & (p.vertices <= box[1])).all(axis=1) for p in body.parts]
+        assert sum(g.any() for g in gripped) == 1
+        (inside,) = (p.vertices[g] for p, g in zip(body.parts, gripped, strict=True) if g.any())
+        # Round what it grips, but for the face that the free part goes out through.
+        assert (np.stack([inside.min(0) - box[0], box[1] - inside.max(0)]) > 1e-6).sum() >= 5
 
 
 def test_hanging_flower_hangs_and_names_are_checked() -> None:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Hold
@@ -14,49 +13,7 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.meshes import Part
 from mphygs.capture.record import Known
 from mphygs.capture.record import Sequence as Recording
-
-
-def outward(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    assert mesh.is_watertight
-    return np.asarray(vertices, float), np.asarray(faces if mesh.volume > 0 else faces[:, ::-1], np.int64)
-
-
-def tube_mesh(line: np.ndarray, radius: float, sides: int = 24) -> tuple[np.ndarray, np.ndarray]:
-    """A round rod along a plane curve. line: (n, 3) in the x-z plane [m]."""
-    tangent = np.gradient(line, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    across = np.array([0.0, 1.0, 0.0])
-    up = np.cross(tangent, across)
-    angle = 2 * np.pi * np.arange(sides) / sides
-    ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * up[:, None]
-    vertices = np.concatenate([(line[:, None] + radius * ring).reshape(-1, 3), line[[0, -1]]])
-    count, faces = len(line), []
-    for i in range(count - 1):
-        for j in range(sides):
-            a, b = i * sides + j, i * sides + (j + 1) % sides
-            faces += [[a, b, a + sides], [b, b + sides, a + sides]]
-    for j in range(sides):
-        last, ahead = (count - 1) * sides, (j + 1) % sides
-        faces += [[count * sides, ahead, j], [count * sides + 1, last + j, last + ahead]]
-    return outward(vertices, np.array(faces))
-
-
-def sheet_mesh(place: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndarray]:
-    """A sheet about a middle surface. place: (a, b, 3) [m]; thickness [m]."""
-    normal = np.cross(np.gradient(place, axis=0), np.gradient(place, axis=1))
-    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
-    shape, count = place.shape[:2], place.shape[0] * place.shape[1]
-    middle, step = place.reshape(-1, 3), 0.5 * thickness * normal.reshape(-1, 3)
-    number = np.arange(count).reshape(shape)
-    a, b, c, d = (x.ravel() for x in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    top = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
-    ahead = np.roll(rim, -1)
-    corner = (rim, rim + count, ahead + count, ahead)
-    side = np.concatenate([np.stack([corner[0], corner[k], corner[k + 1]], axis=1) for k in (1, 2)])
-    faces = np.concatenate([top, top[:, ::-1] + count, side])
-    return outward(np.concatenate([middle + step, middle - step]), faces)
+from mphygs.synth.thin_shapes import petal_places, sheet_mesh, tube_mesh
 
 
 def rod(
@@ -97,12 +54,7 @@ def leaf(
     cup: float = 20.0,
 ) -> Part:
     """A pointed leaf from x = 0, curled up along x and cupped across [1/m]."""
-    u, w = np.linspace(0, 1, 33), np.linspace(-1, 1, 21)
-    half = width / 2 * (0.25 + 0.75 * np.sin(np.pi * (0.9 * u + 0.05)) ** 0.7)
-    s, y = np.meshgrid(u * length, w, indexing="ij")
-    y = y * half[:, None]
-    place = np.stack([np.sin(s * curl) / curl, y, (1 - np.cos(s * curl)) / curl + cup * y**2 / 2], axis=2)
-    return Part("part0", *sheet_mesh(place, thickness), shape="shell")
+    return Part("part0", *sheet_mesh(petal_places(length, width, curl, cup), thickness), shape="shell")
 
 
 def held_capture(

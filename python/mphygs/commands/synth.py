@@ -42,10 +42,15 @@ class SynthOptions(CommonOptions):
             "hanging-flower",
             "block-flower",
             "hanging-block-flower",
+            "cable",
+            "branched-cable",
+            "strip",
+            "thin-flower",
             "flower",
         ]
     ]
-    """The object; flower, seen in pictures, has options of its own: synth flower --help."""
+    """The object; cable, branched-cable, strip and thin-flower are as thin and as stiff as such things are;
+    flower, seen in pictures, has options of its own: synth flower --help."""
     out: Path
     """Folder to write the capture and its answer.json to."""
     hidden: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
@@ -53,7 +58,8 @@ class SynthOptions(CommonOptions):
     fault: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
     """Faults of the measurement, in the same way: time_offset:offset=0.01."""
     motion: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
-    """Movements of the hold in the motion to fit: shake, rock, shift, turn; default: as suits the object."""
+    """Movements of the hold in the motion to fit, of cables of the far one: shake, rock, shift, turn;
+    default: as suits the object."""
     start: Literal["rest", "pulled", "moving"] = "rest"
     """rest: the motion begins at rest; pulled: frame 0 is where the object, pulled aside, is let go; moving:
     frame 0 is in the midst of a movement of the hold."""
@@ -70,7 +76,7 @@ class SynthOptions(CommonOptions):
     frames: int = 80
     """Frames of each motion."""
     markers: int = 120
-    """Number of markers, half inside the object and half on its surface."""
+    """Number of markers, half inside the object and half on its surface; on cables crosses of four."""
     sensors: Annotated[str | None, tyro.conf.arg(metavar="a,b")] = None
     """Instruments beside the markers: force, torque (of the hold, with the force), acceleration (of the tip,
     gravity included); each may have its noise: force:sigma=0.01."""
@@ -79,9 +85,10 @@ class SynthOptions(CommonOptions):
     nothing."""
     spacing_share: float = 0.62
     """Grid spacing of the truth over that at which the object is worth 250 cells."""
-    simulator: Literal["total-lagrangian", "mls", "finite-element"] = "total-lagrangian"
-    """What computes the truth: the core by one of its transfers on a grid of its own, or independent finite
-    elements, which take bars and flowers of blocks."""
+    simulator: Literal["total-lagrangian", "mls", "finite-element", "rod", "shell"] | None = None
+    """What computes the truth: the core by one of its transfers on a grid of its own; or, independent of it,
+    finite elements, which take bars and flowers of blocks, geometrically exact rods, which take cables, or a
+    Kirchhoff-Love shell, which takes strips; default: rod and shell for these, else total-lagrangian."""
     seed: int = 0
     """Of materials, marker places and noise."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mphygs.capture.actuators import Actuator, Pressure, Tendon
 from mphygs.capture.motions import ramp
-from mphygs.synth.shapes import Shape
+from mphygs.synth.shape import Shape
 
 KINDS = ("tendon", "pressure")
 BARS = ("bar", "two-part-bar")

@@ -16,12 +16,12 @@ from mphygs.synth.causes import CAUSES, Material
 from mphygs.synth.finite_element_drive import Driven
 from mphygs.synth.finite_element_rest import stiffness, unloaded
 from mphygs.synth.finite_element_stress import MaterialStress, Values, cofactor, published, times, transposed
+from mphygs.synth.outside_forces import body_field, drag, tether
 
 if TYPE_CHECKING:
     from mphygs.synth.hidden import Hidden
     from mphygs.synth.recipe import Recipe
 
-AIR_DENSITY = 1.2  # [kg/m^3]
 # Share of the stable step that is used.
 SAFETY = 0.75
 OUTSIDE = (
@@ -216,22 +216,14 @@ class Body:
     ) -> np.ndarray:
         """(N, 3) [N] of weight and of those `effects` that act on nodes, surface and places."""
         force = self.mass[:, None] * self.body_field(v, time, effects)
-        area = self.mesh.surface_area[:, None]
-        for name in ("air_drag", "wind"):
-            if name in effects:
-                values = effects[name]
-                flow = np.array([values.get(f"w_{a}", 0.0) for a in "xyz"])
-                against = v - flow
-                speed = np.linalg.norm(against, axis=1, keepdims=True)
-                force = force - 0.5 * AIR_DENSITY * values["c_d"] * area * speed * against
+        force = force + drag(v, self.mesh.surface_area, effects)
         if "contact" in effects:
             values = effects["contact"]
             normal = np.array([values[f"n_{a}"] for a in "xyz"])
             force = force + self._pressing(x, normal) * normal
         if "tether" in effects:
-            values, at = effects["tether"], self.places["tether"]
-            anchor = np.array([values[f"anchor_{a}"] for a in "xyz"])
-            force = force - at.T @ (values["k"] * (at @ x - anchor))
+            at = self.places["tether"]
+            force = force + at.T @ tether(at @ x, effects["tether"])
         return force
 
     def acceleration(
@@ -280,16 +272,4 @@ class Body:
 
     def body_field(self, v: np.ndarray, time: float, effects: Mapping[str, Values]) -> np.ndarray:
         """Acceleration [m/s^2] by weight and body effects at points of velocity v, (3,) or (N, 3) [m/s]."""
-        field = np.broadcast_to(self.gravity, v.shape)
-        if "gravity" in effects:
-            field = field + np.array([effects["gravity"][f"delta_g_{a}"] for a in "xyz"])
-        if "base_motion" in effects:
-            values = effects["base_motion"]
-            angle = 2.0 * math.pi * values["f"] * time + values["phase"]
-            wave = math.sin(angle)
-            if not 0.0 <= angle <= math.pi:
-                wave *= 1.0 - values["pulse"]
-            field = field - wave * np.array([values[f"a_{a}"] for a in "xyz"])
-        if "mass_damping" in effects:
-            field = field - effects["mass_damping"]["alpha"] * v
-        return field
+        return body_field(self.gravity, v, time, effects)

@@ -13,17 +13,23 @@ import numpy as np
 from mphygs.capture.format import Capture, Hold, Known, Load, Markers, save_capture
 from mphygs.capture.motions import hold_poses, ramp
 from mphygs.capture.record import Sequence as Recording
+from mphygs.fit.spacings import default_spacing
+from mphygs.simulate.settings import TRANSFERS
 from mphygs.synth.drive import arriving, stated
 from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
-from mphygs.synth.marker_noise import measure, place_markers
+from mphygs.synth.marker_noise import measure, place_crosses, place_markers
 from mphygs.synth.motion import Motion
 from mphygs.synth.recipe import Recipe, Take, truth_spacing
-from mphygs.synth.shapes import Shape
+from mphygs.synth.rod import simulate_rod
+from mphygs.synth.shape import Shape
+from mphygs.synth.shell import simulate_shell
 from mphygs.synth.synthetic_sensors import empty_sensors, measured_sensors
 from mphygs.synth.truth import simulate_truth
 
+# Simulators that share no code with the model.
+INDEPENDENT = {"finite-element": simulate_finite_element, "rod": simulate_rod, "shell": simulate_shell}
 # Of the size of an object: how far about its tip it is pulled.
 TIP = 0.12
 
@@ -50,12 +56,12 @@ def make_capture(
     Raises ValueError for a recipe that contradicts itself, RuntimeError where it cannot be simulated.
     """
     folder = Path(folder)
-    places = place_markers(recipe.shape.parts, recipe.marker_count, np.random.default_rng([recipe.seed, 2]))
+    places = _marker_places(recipe)
     faults = {thing.name: thing.values for thing in recipe.of_kind("fault")}
     offset = faults["time_offset"]["offset"] if "time_offset" in faults else 0.0
     capture = _bare_capture(recipe, folder, places)
-    spacing = truth_spacing(recipe.spacing_share, sum(part.volume for part in capture.parts))
-    run = simulate_finite_element if recipe.simulator == "finite-element" else simulate_truth
+    spacing = _spacing(recipe, capture)
+    run = INDEPENDENT.get(recipe.simulator, simulate_truth)
     physics = tuple(h for h in recipe.hidden if h.kind != "fault")
     compared = bool(recipe.hidden and measure_signal)
     work = _Work(report, sum(_moving(t) for t in recipe.takes) * (2 if compared and physics else 1))
@@ -86,11 +92,34 @@ def make_capture(
     capture = replace(capture, sequences=tuple(recordings))
     save_capture(capture, folder)
     answer = _answer(recipe, differences, outliers, motions)
-    answer["simulation"] = {"simulator": recipe.simulator, "spacing": spacing, "substeps": substeps}
+    answer["simulation"] = {
+        "simulator": recipe.simulator,
+        "shares_code_with_the_model": recipe.simulator not in INDEPENDENT,
+        "spacing": spacing,
+        "substeps": substeps,
+    }
     (folder / "answer.json").write_text(
         json.dumps(answer, indent=1, allow_nan=False) + "\n", encoding="utf-8"
     )
     return Made(folder, answer)
+
+
+def _spacing(recipe: Recipe, capture: Capture) -> float:
+    """Of the truth's grid or nodes [m]. What is thin is of rods and sheets in the core's grids, by volume in
+    those that are none."""
+    if recipe.simulator in TRANSFERS and any(part.shape != "solid" for part in capture.parts):
+        return recipe.spacing_share * default_spacing(capture)
+    return truth_spacing(recipe.spacing_share, sum(part.volume for part in capture.parts))
+
+
+def _marker_places(recipe: Recipe) -> np.ndarray:
+    """(M, 3) [m]: crosses along cables, else inside the object and on it."""
+    shape = recipe.shape
+    if shape.lines:
+        boxes = [shape.hold] if shape.far_hold is None else [shape.hold, shape.far_hold]
+        return place_crosses([line for line in shape.lines if shape.parts[line.part].shape == "rod"],
+                             np.array(boxes), recipe.marker_count)  # fmt: skip
+    return place_markers(shape.parts, recipe.marker_count, np.random.default_rng([recipe.seed, 2]))
 
 
 class _Work:
@@ -157,13 +186,14 @@ def _shown(recipe: Recipe, take: Take, places: np.ndarray) -> Recording:
     recording = _recording(recipe, replace(take, frames=take.cut + take.frames), places)
     if not take.cut:
         return recording
-    (hold,) = recording.held
-    if not hold.is_fixed:
-        hold = Hold(hold.box, hold.position[take.cut :], hold.quaternion[take.cut :])
+    held = tuple(
+        hold if hold.is_fixed else Hold(hold.box, hold.position[take.cut :], hold.quaternion[take.cut :])
+        for hold in recording.held
+    )
     markers = replace(recording.markers, position=recording.markers.position[take.cut :])
     sensors = tuple(replace(one, value=one.value[take.cut :]) for one in recording.sensors)
     return replace(
-        recording, frames=take.frames, held=(hold,), markers=markers, release=None, sensors=sensors
+        recording, frames=take.frames, held=held, markers=markers, release=None, sensors=sensors
     )
 
 
@@ -171,9 +201,6 @@ def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -
     """One take without measurements, `extra` frames longer."""
     frames = take.frames + extra
     shape = recipe.shape
-    hold = Hold(shape.hold)
-    if take.motions:
-        hold = Hold(shape.hold, *hold_poses(take.motions, np.arange(frames) / take.fps, shape.pivot))
     driven = ()
     if take.drive is not None:
         stiffness = {name: material.youngs_modulus for name, material in recipe.materials.items()}
@@ -187,11 +214,23 @@ def _recording(recipe: Recipe, take: Take, places: np.ndarray, extra: int = 0) -
         frames,
         fit=take.fit,
         predict=take.predict,
-        held=(hold,),
+        held=_holds(shape, take, frames),
         release=take.release,
         markers=unseen,
         sensors=empty_sensors(recipe.sensors, shape, frames),
         actuators=driven,
+    )
+
+
+def _holds(shape: Shape, take: Take, frames: int) -> tuple[Hold, ...]:
+    """What holds the object in a take, the first hold first."""
+    given = [(shape.hold, shape.pivot, take.motions)]
+    if shape.far_hold is not None:
+        given.append((shape.far_hold, shape.far_pivot, take.far_motions))
+    times = np.arange(frames) / take.fps
+    return tuple(
+        Hold(box, *hold_poses(motions, times, pivot)) if motions else Hold(box)
+        for box, pivot, motions in given
     )
 
 
@@ -263,6 +302,7 @@ def _answer(
         "markers": recipe.marker_count,
         "drives": [None if take.drive is None else asdict(take.drive) for take in recipe.takes],
         "motions": [[asdict(m) for m in take.motions] for take in recipe.takes],
+        "far_motions": [[asdict(m) for m in take.far_motions] for take in recipe.takes],
         "signal_over_noise": differences[0]["signal_over_noise"] if differences else None,
         "rms_difference_m": differences[0]["rms_difference_m"] if differences else None,
         "differences": {"without_all": list(differences)} if differences else {},

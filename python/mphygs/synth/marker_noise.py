@@ -9,11 +9,14 @@ import numpy as np
 
 from mphygs.capture.meshes import Part
 from mphygs.scene.particles import inside
+from mphygs.synth.rod_net import Line
 
 NOISES = ("white", "correlated", "jitter", "rounded", "heavy", "growing")
 # Degrees of freedom of Student's t where tails are heavy; sigma of the last frame over that of the first
 # where noise grows.
 HEAVY, GROWTH = 4, 4.0
+# Of a cable's width, how far a cross on it reaches to every side.
+ARM = 1.5
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,39 @@ def place_markers(parts: Sequence[Part], count: int, generator: np.random.Genera
     places = []
     for part, within, on in zip(parts, _shares(volumes, half), _shares(areas, count - half), strict=True):
         places += [_within(part, within, generator), _on_surface(part, on, generator)]
+    return np.concatenate(places)
+
+
+def place_crosses(lines: Sequence[Line], boxes: np.ndarray, count: int) -> np.ndarray:
+    """(count, 3) marker places [m]: crosses of four, evenly along lines outside the boxes (H, 2, 3) [m].
+
+    Their arms stand square to the line, ARM times as long as the rod is wide: such tell how it is twisted.
+    Raises ValueError when `count` is no multiple of four or too few for every line to have two crosses.
+    """
+    free = []
+    for line in lines:
+        inside = np.any(
+            [((line.place >= low - 1e-9) & (line.place <= high + 1e-9)).all(axis=1) for low, high in boxes],
+            axis=0,
+        )
+        # What is held lies at the ends: the edge of the hold stays.
+        free.append(line.place[max(np.flatnonzero(~inside)[0] - 1, 0) : np.flatnonzero(~inside)[-1] + 2])
+    length = np.array([np.linalg.norm(np.diff(place, axis=0), axis=1).sum() for place in free])
+    if count % 4 or count < 8 * len(lines):
+        raise ValueError(
+            f"{count} markers on {len(lines)} cables: expected a multiple of 4, at least {8 * len(lines)}"
+        )
+    places = []
+    for line, place, crosses in zip(lines, free, _shares(length, count // 4), strict=True):
+        arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))]
+        station = arc[-1] * (np.arange(crosses) + 0.5) / crosses
+        middle = np.stack([np.interp(station, arc, place[:, c]) for c in range(3)], axis=1)
+        tangent = np.stack([np.interp(station, arc, t) for t in np.gradient(place, arc, axis=0).T], axis=1)
+        first = np.cross(tangent, np.eye(3)[np.abs(tangent[0]).argmin()])
+        second = np.cross(tangent, first)
+        reach = 2.0 * ARM * np.sqrt(line.section.area / np.pi)
+        arms = [d / np.linalg.norm(d, axis=1, keepdims=True) for d in (first, second, -first, -second)]
+        places.append((middle[:, None] + reach * np.stack(arms, axis=1)).reshape(-1, 3))
     return np.concatenate(places)
 
 

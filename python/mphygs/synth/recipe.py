@@ -12,10 +12,11 @@ from mphygs.simulate.settings import TRANSFERS
 from mphygs.synth.drive import Drive
 from mphygs.synth.hidden import Hidden, parse
 from mphygs.synth.marker_noise import Noise
-from mphygs.synth.shapes import Shape, shape
+from mphygs.synth.shape import Shape
+from mphygs.synth.shapes import shape
 from mphygs.synth.synthetic_sensors import parse_sensors
 
-SIMULATORS = (*TRANSFERS, "finite-element")
+SIMULATORS = (*TRANSFERS, "finite-element", "rod", "shell")
 KNOWN = ("first-density", "densities", "mass", "none")
 
 
@@ -33,7 +34,7 @@ class Take:
     """One recorded motion. fit, predict: frame ranges; release: all points rest until this frame; cut: frames
     of the motion before frame 0, which the capture does not show, the release among them; pull: (3,) force
     [N] that grows over these on what is about the tip, and is gone with frame 0; drive: a load of the object
-    that the capture states."""
+    that the capture states; far_motions: of a second hold."""
 
     name: str
     motions: tuple[HoldMovement, ...]
@@ -45,6 +46,7 @@ class Take:
     cut: int = 0
     pull: tuple[float, float, float] | None = None
     drive: Drive | None = None
+    far_motions: tuple[HoldMovement, ...] = ()
 
 
 # How a motion begins: from rest, let go where it was pulled aside, or in the midst of a movement of its hold.
@@ -75,7 +77,7 @@ class Recipe:
     `mphygs.synth.synthetic_sensors`.
     simulator: a transfer of the core, "total-lagrangian" or "mls", or "finite-element" for code that shares
     nothing with the model fitted and takes objects of boxes; its bricks are at most twice the spacing, having
-    three nodes each way.
+    three nodes each way; "rod" for cables and "shell" for strips, which share nothing with it either.
     """
 
     name: str
@@ -150,8 +152,11 @@ def default_takes(
         raise ValueError(f"start '{start}': expected one of {', '.join(STARTS)}")
     if drive is not None and (start != "rest" or kinds):
         raise ValueError("drive: the hold stands still and the motion begins at rest; expected neither else")
+    if kind.far_hold is not None:
+        return _two_handed_takes(kind, frames=frames, kinds=kinds, start=start)
     lying = kind.rest == "stress-free"
-    fps, release = (60.0, 2) if lying else (30.0, None)
+    thin = any(part.shape != "solid" for part in kind.parts)
+    fps, release = 60.0 if lying or thin else 30.0, 2 if lying else None
     first = kinds or (("shift",) if lying else ("shake", "turn"))
     second = ("shake", "turn") if lying else ("rock", "shift")
     split = round(0.625 * frames)
@@ -171,6 +176,39 @@ def default_takes(
             cut = round(fps * (moved[0].start + MIDST * (moved[0].stop - moved[0].start)))
         takes.append(Take(name, moved, fps, frames, fit, predict, release, cut, pull, drive))
     return tuple(takes)
+
+
+def _two_handed_takes(kind: Shape, *, frames: int, kinds: tuple[str, ...], start: str) -> tuple[Take, ...]:
+    """Two motions of a cable between two hands, the far one of which twists it about its end as well.
+
+    kinds: movements of the far hand in the motion to fit, as of `two_handed_motion`.
+    """
+    if start == "pulled":
+        raise ValueError(f"start 'pulled': not of the object '{kind.name}'; expected rest or moving")
+    fps, split = 100.0, round(0.625 * frames)
+    cut = round(fps * 0.35) if start == "moving" else 0
+    near, far = two_handed_motion("rock"), tuple(two_handed_motion(k) for k in kinds or ("shift", "turn"))
+    others = tuple(two_handed_motion(k) for k in ("shake", "rock"))
+    return (
+        Take("a", (two_handed_motion("shake"),), fps, frames, (0, split), (split, frames), 2, cut,
+             far_motions=far),
+        Take("b", (near,), fps, frames, (0, 0), (0, frames), 2, cut, far_motions=others),
+    )  # fmt: skip
+
+
+def two_handed_motion(kind: str) -> HoldMovement:
+    """A movement of one hand at a cable's end, whose axis is along z. Raises ValueError for other kinds."""
+    table = {
+        "shake": HoldMovement("shake", 0.05, 1.45, by=(0.004, 0.008, 0.002), frequency=2.3, ramp=0.25),
+        "rock": HoldMovement(
+            "rock", 0.05, 1.45, axis=(0.0, 0.2, 1.0), degrees=60.0, frequency=1.4, ramp=0.25
+        ),
+        "shift": HoldMovement("shift", 0.1, 0.6, by=(-0.03, 0.025, 0.01)),
+        "turn": HoldMovement("turn", 0.15, 0.75, axis=(0.0, 0.0, 1.0), degrees=100.0),
+    }
+    if kind not in table:
+        raise ValueError(f"motion '{kind}': expected one of {', '.join(table)}")
+    return table[kind]
 
 
 def default_materials(
@@ -202,11 +240,11 @@ def recipe(
     spacing_share: float = 0.62,
     sizes: Mapping[str, float] | None = None,
     known: str = "first-density",
-    simulator: str = "total-lagrangian",
+    simulator: str | None = None,
     sensors: tuple[str, ...] = (),
 ) -> Recipe:
-    """A recipe from names. kind: as in shapes; hidden: each `name` or `name:key=value:...`; sensors: each
-    `kind` or `kind:sigma=value`.
+    """A recipe from names. kind: as in shapes; hidden: each `name` or `name:key=value:...`; simulator: None
+    for the object's usual one; sensors: each `kind` or `kind:sigma=value`.
 
     Raises ValueError for unknown kinds, names and keys, and for something hidden twice.
     """
@@ -228,6 +266,6 @@ def recipe(
         seed=seed,
         spacing_share=spacing_share,
         known=known,
-        simulator=simulator,
+        simulator=simulator or body.simulator,
         sensors=parse_sensors(sensors, body, mass * float(np.linalg.norm(body.gravity))),
     )

@@ -1,94 +1,15 @@
-"""Objects of closed convex prisms or of blocks that touch exactly where they meet."""
+"""Objects of closed convex prisms or of blocks that touch exactly where they meet; all objects by name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from mphygs.capture.meshes import Part
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """An object at rest, before anything is known of its materials.
-
-    hold: (2, 3) box of what is held [m]; pivot: (3,) point that holds turn about [m]; axis: (3,) unit, the
-    long way from the hold to the tip; tip: (3,) material point far from the hold [m]; gravity: (3,) [m/s^2];
-    rest: "stress-free" or "equilibrium"; youngs_modulus [Pa] and density [kg/m^3]: usual values per part.
-    """
-
-    name: str
-    parts: tuple[Part, ...]
-    hold: np.ndarray
-    pivot: np.ndarray
-    axis: np.ndarray
-    tip: np.ndarray
-    gravity: np.ndarray
-    rest: str
-    youngs_modulus: Mapping[str, float]
-    density: Mapping[str, float]
-
-    @property
-    def volume(self) -> float:
-        """Of all parts together [m^3]."""
-        return sum(part.volume for part in self.parts)
-
-    @property
-    def part_names(self) -> tuple[str, ...]:
-        """Names of the parts."""
-        return tuple(part.name for part in self.parts)
-
-
-def prism(name: str, outline: np.ndarray, axis: int, low: float, high: float) -> Part:
-    """A convex prism. outline: (K, 2) [m], counter-clockwise in the axes after `axis`; low, high: [m]."""
-    count = len(outline)
-    vertices = np.empty((2 * count, 3))
-    for end, coordinate in enumerate((low, high)):
-        rows = vertices[end * count : (end + 1) * count]
-        rows[:, axis] = coordinate
-        rows[:, (axis + 1) % 3], rows[:, (axis + 2) % 3] = outline.T
-    faces = []
-    for k in range(1, count - 1):
-        faces += [(0, k + 1, k), (count, count + k, count + k + 1)]
-    for k in range(count):
-        following = (k + 1) % count
-        faces += [(k, following, count + following), (k, count + following, count + k)]
-    return Part(name, vertices, np.array(faces, dtype=np.int64))
-
-
-def blocks(name: str, cells: np.ndarray, size: float, origin: np.ndarray) -> Part:
-    """The outer faces of equal cubes. cells: (N, 3) whole numbers; size: of a cube, origin: (3,) [m]."""
-    filled = {tuple(c) for c in cells.tolist()}
-    corners: dict[tuple[int, ...], int] = {}
-    faces = []
-    for cell in sorted(filled):
-        for axis in range(3):
-            for end in (0, 1):
-                beside = list(cell)
-                beside[axis] += 2 * end - 1
-                if tuple(beside) in filled:
-                    continue
-                square = np.tile(cell, (4, 1))
-                square[:, axis] += end
-                square[[1, 2], (axis + 1) % 3] += 1
-                square[[2, 3], (axis + 2) % 3] += 1
-                a, b, c, d = (corners.setdefault(tuple(q), len(corners)) for q in square.tolist())
-                faces += [(a, b, c), (a, c, d)] if end else [(a, c, b), (a, d, c)]
-    vertices = np.asarray(origin, float) + size * np.array(list(corners), float)
-    return Part(name, vertices, np.array(faces, dtype=np.int64))
-
-
-def rectangle(width: float, height: float) -> np.ndarray:
-    """(4, 2) corners about the origin [m]."""
-    return 0.5 * np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
-
-
-def polygon(apothem: float, sides: int) -> np.ndarray:
-    """(sides, 2) corners of a regular polygon with sides across the axes; `sides`: a multiple of 4."""
-    angle = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
-    return apothem / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+from mphygs.synth.prisms import blocks, polygon, prism, rectangle
+from mphygs.synth.shape import Shape
+from mphygs.synth.thin_shapes import branched_cable, cable, strip, thin_flower
 
 
 def leaf(root: float, length: float, half_width: float, root_half_width: float, side: int) -> np.ndarray:
@@ -245,6 +166,10 @@ SHAPES: Mapping[str, Callable[..., Shape]] = {
     "hanging-flower": hanging_flower,
     "block-flower": block_flower,
     "hanging-block-flower": hanging_block_flower,
+    "cable": cable,
+    "branched-cable": branched_cable,
+    "strip": strip,
+    "thin-flower": thin_flower,
 }
 
 

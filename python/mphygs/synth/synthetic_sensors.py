@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import ACCELERATION, FORCE, Sensor
 from mphygs.simulate.instruments import compared_frames
-from mphygs.synth.shapes import Shape
+from mphygs.synth.shape import Shape
 
 TORQUE = "torque"
 KINDS = (FORCE, TORQUE, ACCELERATION)

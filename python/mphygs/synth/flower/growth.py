@@ -19,7 +19,7 @@ from mphygs.synth.flower.stalk import (
 )
 from mphygs.synth.flower.textured_surface import Surface, joined_surfaces
 from mphygs.synth.recipe import Material
-from mphygs.synth.shapes import Shape
+from mphygs.synth.shape import Shape
 
 STEM_STEP = 0.0022  # between rings of a stem, the height of a leaf's root [m]
 PETAL_ROOT = 0.0021  # height of a petal's root [m]
