@@ -20,6 +20,11 @@ struct BarOptions {
     double density = 1000;         // [kg/m^3]
 };
 
+/// As few cells as have neighbours along two axes and a layer of every kind: what implicit steps cost goes with the square.
+inline const BarOptions smaller{.cells = {1, 2, 4}};
+/// One cell across: for what is asked of the steps in time alone.
+inline const BarOptions slender{.cells = {1, 1, 5}};
+
 inline constexpr double bar_spacing[3] = {0.010, 0.012, 0.011};
 inline constexpr double poisson = 0.3;
 

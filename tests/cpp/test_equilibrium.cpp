@@ -14,9 +14,8 @@ using test::Bar;
 struct Hanging {
     Bar bar;
     std::vector<double> load;
-    explicit Hanging(const std::vector<int>& effects = {}, Law law = Law::neo_hookean, bool two_grids = false) {
+    explicit Hanging(const std::vector<int>& effects = {}, Law law = Law::neo_hookean, bool two_grids = false, test::BarOptions o = {}) {
         const Schedule schedule{{400, 400}, {2.5e-4, 2.5e-4}};
-        test::BarOptions o;
         o.two_grids = two_grids;
         o.held_along_top = true;
         o.young[0] = 3e4;
@@ -158,7 +157,7 @@ std::vector<int> indices(const std::vector<std::string>& names) {
 /// A hanging bar with the effects that store energy, and one direction in each of its inputs.
 struct Differentiated : Hanging {
     std::vector<std::pair<std::string, Equilibrium::Direction>> directions;
-    explicit Differentiated(bool two_grids) : Hanging(indices({"fibre", "stiffening"}), Law::neo_hookean, two_grids) {
+    explicit Differentiated(bool two_grids) : Hanging(indices({"fibre", "stiffening"}), Law::neo_hookean, two_grids, test::smaller) {
         test::Random random(81);
         const Slots slots = make_slots(bar.model->settings().active);
         for (const int i : indices({"fibre", "stiffening"})) {

@@ -99,10 +99,16 @@ TEST_P(MlsPull, AdjointIsTheTransposeOfTheTangent) {
         const auto& fields = s.body.fields;
         const auto bar = random_bar(s.run(fields), 3);
         Fields<double> gradient = model.adjoint(fields, s.body.schedule, bar, {}, nullptr, &s.observer);
+        std::vector<Fields<double>> directions;
         for (const std::string name : every_field) {
-            Fields<double> one = along(fields, name);
+            directions.push_back(along(fields, name));
+        }
+        const auto slopes = model.tangent(fields, directions, s.body.schedule, {}, &s.observer);
+        for (std::size_t d = 0; d < directions.size(); ++d) {
+            const std::string name = every_field[d];
+            Fields<double>& one = directions[d];
             const std::size_t at = number_of(name);
-            const double by_tangent = product(bar, model.tangent(fields, {one}, s.body.schedule, {}, &s.observer)[1]);
+            const double by_tangent = product(bar, slopes[d + 1]);
             double by_adjoint = 0, scale = 0;
             for (std::size_t i = 0; i < one.all()[at]->size(); ++i) {
                 by_adjoint += (*gradient.all()[at])[i] * (*one.all()[at])[i];

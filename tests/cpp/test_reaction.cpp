@@ -47,7 +47,7 @@ class Reaction : public testing::TestWithParam<Case> {
     test::Bar bar(const Schedule& schedule) const {
         Settings settings;
         settings.active = test::only_active(GetParam().effects);
-        test::BarOptions options;
+        test::BarOptions options = test::smaller;
         options.two_grids = GetParam().two_grids;
         test::Bar b = test::make_bar(options, schedule, settings);
         Geometry g = b.model->geometry();

@@ -52,7 +52,7 @@ class Gradient : public testing::TestWithParam<Case> {
         Settings settings;
         settings.law = GetParam().law;
         settings.active = test::only_active(GetParam().effects);
-        test::BarOptions options;
+        test::BarOptions options = test::smaller;
         options.two_grids = GetParam().two_grids;
         options.springs = GetParam().springs;
         test::Bar b = test::make_bar(options, schedule, settings);
@@ -178,9 +178,12 @@ TEST_P(Gradient, TangentAgreesWithCentralDifferences) {
     for (std::size_t i = 0; i < all.size(); ++i) {
         const auto at = [&](double step) { return b.model->simulate(moved(b.fields, all[i].fields, step), b.schedule); };
         // Displacement and velocity, each as a whole. A wide difference may straddle a kink (contact,
-        // yield) and a narrow one drowns in round-off: the best of three counts.
+        // yield) and a narrow one drowns in round-off: one of three has to do.
         double best[2] = {std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
-        for (const double h : {3e-3, 1e-4, 3e-6}) {
+        for (const double h : {1e-4, 3e-3, 3e-6}) {
+            if (std::max(best[0], best[1]) < 1e-6) {
+                break;
+            }
             const Trajectory<double> p = at(-2 * h), q = at(-h), r = at(h), s = at(2 * h);
             for (const int kind : {0, 1}) {
                 const auto member = kind == 0 ? &Trajectory<double>::displacement : &Trajectory<double>::velocity;

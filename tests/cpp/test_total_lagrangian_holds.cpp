@@ -63,7 +63,7 @@ TEST(Hold, ACompliantHoldSinksByItsComplianceTimesTheWeight) {
         index = i;
     });
     settings.active = test::only_active(active);
-    Bar bar = test::make_bar({}, {{4000}, {1e-4}}, settings);
+    Bar bar = test::make_bar(test::slender, {{4000}, {1e-4}}, settings);
     const Slots slots = make_slots(settings.active);
     const double compliance = 1e-3;
     Registry::each([&](auto tag, int i) {

@@ -101,7 +101,7 @@ TEST(Implicit, AFreeBodyKeepsItsLinearAndAngularMomentum) {
 TEST(Implicit, AStepHalfAsLongHasAQuarterOfTheError) {
     const double time = 0.01;
     const auto end = [&](int steps, bool implicit) {
-        const Bar bar = swing({}, steps_of(1, steps, time / steps, implicit), 400);
+        const Bar bar = swing(test::slender, steps_of(1, steps, time / steps, implicit), 400);
         return last(bar.model->simulate(bar.fields, bar.schedule).displacement, 3 * bar.model->node_count());
     };
     const std::vector<double> fine = end(1280, true), coarse = end(2000, false), finer = end(4000, false);
@@ -145,7 +145,7 @@ double energy(const Bar& bar, const Trajectory<double>& t, std::size_t frame) {
 
 TEST(Implicit, OverAThousandStepsTheEnergyDriftsByLessThanAHundredThousandth) {
     const std::size_t steps = 1000;
-    const Bar bar = swing({}, steps_of(static_cast<int>(steps), 1, 1e-3, true), 20);
+    const Bar bar = swing(test::slender, steps_of(static_cast<int>(steps), 1, 1e-3, true), 20);
     const Trajectory<double> t = bar.model->simulate(bar.fields, bar.schedule);
     const double first = energy(bar, t, 0);
     double drift = 0, away = 0;
@@ -181,7 +181,7 @@ TEST(Implicit, AHoldThatMovesLeavesNoAlternation) {
 }
 
 TEST(Implicit, AStiffBarOnAShakenHoldFollowsTheExplicitRun) {
-    BarOptions o;
+    BarOptions o = test::slender;
     o.young[0] = o.young[1] = 1e9;
     const double rate = 25, far = 0.02, frame = 1.0 / 60;
     const int frames = 6;
@@ -214,7 +214,7 @@ TEST_P(ImplicitEffects, FollowTheExplicitRun) {
     const auto end = [&](int steps, bool implicit) {
         Settings settings;
         settings.active = test::only_active({GetParam()});
-        Bar bar = test::make_bar({}, steps_of(1, steps, time / steps, implicit), settings);
+        Bar bar = test::make_bar(test::slender, steps_of(1, steps, time / steps, implicit), settings);
         const std::vector<double> still = bar.fields.pose;
         test::stir(bar, 21);
         bar.fields.pose = still;

@@ -161,7 +161,7 @@ void make(const Case& c, Scene& s) {
     Settings settings;
     settings.law = c.law;
     settings.active = test::only_active(c.effects);
-    test::BarOptions options;
+    test::BarOptions options = test::smaller;
     options.two_grids = c.two_grids;
     options.springs = c.springs;
     s.bar = test::make_bar(options, own, settings);
@@ -292,7 +292,10 @@ TEST_P(ImplicitGradient, TangentAgreesWithCentralDifferences) {
     const Trajectory<double> value = s.run(s.bar.fields);
     const double strength = s.own.strength;
     double best[3] = {1, 1, 1};
-    for (const double h : {3e-3, 3e-4, 3e-5}) {
+    for (const double h : {3e-4, 3e-3, 3e-5}) {  // one of them has to do
+        if (*std::max_element(best, best + 3) < 1e-6) {
+            break;
+        }
         const auto at = [&](double step) {
             s.own.strength = strength + step * s.own.strength_slope;
             return s.run(moved(s.bar.fields, direction, step));

@@ -153,7 +153,7 @@ TEST(Motion, EnergyIsKeptAndItsErrorShrinksWithTheStep) {
         for (const int refined : {0, 1}) {
             const int steps = 40 << refined;
             Schedule schedule{std::vector<int>(10, steps), std::vector<double>(10, 1e-4 / (1 << refined))};
-            Bar bar = test::make_bar({}, schedule, settings);  // held at the bottom, pushed sideways
+            Bar bar = test::make_bar(test::slender, schedule, settings);  // held at the bottom, pushed sideways
             const std::vector<double>& x = bar.model->node_positions();
             for (std::size_t n = 0; n < bar.model->node_count(); ++n) {
                 bar.fields.velocity0.insert(bar.fields.velocity0.end(), {20 * std::max(0.0, x[3 * n + 2] - 0.05), 0.0, 0.0});

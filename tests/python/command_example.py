@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,22 @@ def make_capture(
     folder: Path, *, known: Known | None = None, eta: float = ETA, release: int | None = None
 ) -> Path:
     """A clamped bar that falls and swings: `swing` to fit and predict, `other`, shaken, to predict only."""
+    if known is None:
+        capture = usual_capture(eta, release)
+    else:
+        capture = measured(unmeasured(known, release), eta)
+    save_capture(replace(capture, folder=folder), folder)
+    return folder
+
+
+@cache
+def usual_capture(eta: float, release: int | None) -> Capture:
+    """Of known density and Poisson's ratio. Many tests begin with it."""
+    return measured(unmeasured(Known(density={"bar": 1000.0}, poissons_ratio=0.4), release), eta)
+
+
+def unmeasured(known: Known, release: int | None) -> Capture:
+    """Without measurements."""
     grid = np.array([[x, y, z] for x in (0.0, 0.03, 0.054) for y in (0.0, 0.012) for z in (0.0, 0.012)])
     hold = Hold(box=np.array([[-1.0, -1, -1], [1e-4, 1, 1]]))
     swing = Sequence(
@@ -44,12 +61,9 @@ def make_capture(
     position[:, 1] = 0.004 * np.sin(12.0 * times) ** 2
     moving = Hold(hold.box, position, np.tile([1.0, 0, 0, 0], (FRAMES, 1)))
     other = replace(swing, name="other", fit=(0, 0), predict=(release or 0, FRAMES), held=(moving,))
-    capture = Capture(
-        "tiny", folder, np.array([0.0, 0, -9.81]), (bar_part(),), "stress-free",
-        known if known is not None else Known(density={"bar": 1000.0}, poissons_ratio=0.4), (swing, other),
-    )  # fmt: skip
-    save_capture(measured(capture, eta), folder)
-    return folder
+    return Capture(
+        "tiny", Path("tiny"), np.array([0.0, 0, -9.81]), (bar_part(),), "stress-free", known, (swing, other)
+    )
 
 
 def measured(capture: Capture, eta: float) -> Capture:

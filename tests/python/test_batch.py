@@ -51,6 +51,13 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [first, second, root / "empty"]
 
 
+@pytest.fixture(scope="module")
+def alone(captures: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict:
+    """What a fit of the first says by itself."""
+    out = tmp_path_factory.mktemp("runs") / "alone"
+    return answer(fit.main, captures[0], "--out", out, "--workers", 1, *OPTIONS)
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -141,7 +148,9 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Here:
     return pool
 
 
-def test_every_folder_has_its_run_and_its_row(here: Here, captures: list[Path], tmp_path: Path) -> None:
+def test_every_folder_has_its_run_and_its_row(
+    here: Here, captures: list[Path], alone: dict, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     line = (*captures, "--command", "fit", "--out", out, "--json", "--", *OPTIONS)
     code, said, err = call(command.main, *line)
@@ -150,9 +159,8 @@ def test_every_folder_has_its_run_and_its_row(here: Here, captures: list[Path], 
     assert [run["name"] for run in found["runs"]] == here.ran == ["bar", "bar-2", "empty"]
     assert [run["state"] for run in found["runs"]] == ["done", "done", "failed"]
     assert found["failed"] == ["empty"] and "is not a capture" in found["runs"][2]["line"]
-    alone = answer(fit.main, captures[0], "--out", tmp_path / "alone", "--workers", 1, *OPTIONS)
     assert found["runs"][0]["parameters"] == alone["parameters"]
-    beliefs = [load_run(run).belief.parameters for run in (out / "bar", out / "bar-2", tmp_path / "alone")]
+    beliefs = [load_run(run).belief.parameters for run in (out / "bar", out / "bar-2", alone["run"])]
     assert beliefs[0] == beliefs[2] != beliefs[1]
     table = list(csv.DictReader((out / "summary.csv").read_text().splitlines()))
     value = alone["parameters"]["bar.youngs_modulus"]["value"]
@@ -244,16 +252,17 @@ def test_a_folder_of_somebody_else_is_refused(here: Here, captures: list[Path], 
 
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed")
-def test_a_run_on_a_worker_is_as_if_it_were_alone(captures: list[Path], tmp_path: Path) -> None:
+def test_a_run_on_a_worker_is_as_if_it_were_alone(
+    captures: list[Path], alone: dict, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     line = [sys.executable, "-m", "mphygs.batch", captures[0], "--command", "fit", "--out", out, "--json"]
     line += ["--workers", "1", "--", *OPTIONS]
     done = subprocess.run(list(map(str, line)), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    alone = answer(fit.main, captures[0], "--out", tmp_path / "alone", *OPTIONS)
     (found,) = json.loads(done.stdout)["runs"]
     assert found["parameters"] == alone["parameters"]
     kept = json.loads((out / "logs" / "bar.json").read_text())["answer"]
     assert kept["sequences"] == alone["sequences"]
-    numbers = [load_file(run / "numbers.safetensors") for run in (out / "bar", tmp_path / "alone")]
+    numbers = [load_file(run / "numbers.safetensors") for run in (out / "bar", Path(alone["run"]))]
     assert all((numbers[0][key] == numbers[1][key]).all() for key in numbers[1])

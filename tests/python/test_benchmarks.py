@@ -26,7 +26,24 @@ def test_the_benchmark_of_hidden_effects_judges_a_null(tmp_path: Path) -> None:
     assert (tmp_path / "results" / "null-white-0.json").is_file()
 
 
-def test_the_benchmark_of_baselines_does_nothing_twice(tmp_path: Path) -> None:
+def loaded(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script of a benchmark, in this process."""
+    monkeypatch.syspath_prepend(str(SCRIPTS / name))
+    spec = importlib.util.spec_from_file_location(f"{name}_run", SCRIPTS / name / "run.py")
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, f"{name}_run", module)
+    beside = ("judge", "table", "cases")  # other benchmarks have files of these names
+    for other in beside:
+        sys.modules.pop(other, None)
+    spec.loader.exec_module(module)
+    for other in beside:
+        sys.modules.pop(other, None)
+    return module
+
+
+def test_the_benchmark_of_baselines_does_nothing_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     results = tmp_path / "results"
     results.mkdir()
     error = {"rms": 4e-4, "max": 1e-3, "rms_over_sigma": 1.2, "count": 9}
@@ -35,30 +52,25 @@ def test_the_benchmark_of_baselines_does_nothing_twice(tmp_path: Path) -> None:
         entry = {"case": "viscosity", "seed": 7, "row": row, "spec": spec, "seconds": 3.0, "effects": named}
         entry |= {"errors": dict.fromkeys(("fitted", "frames", "motion"), error)}
         (results / f"viscosity-7-{row}.json").write_text(json.dumps(entry))
-    command = [sys.executable, str(SCRIPTS / "baselines" / "run.py"), "--cases", "viscosity", "--seeds", "7"]
-    command += ["--rows", "discover,springs", "--out", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    head, _, first, second = done.stdout.strip().splitlines()
+    module = loaded("baselines", monkeypatch)
+    command = ["run.py", "--cases", "viscosity", "--seeds", "7", "--out", str(tmp_path), "--rows"]
+    monkeypatch.setattr(sys, "argv", [*command, "discover,springs"])
+    code = module.main()
+    said = capsys.readouterr()
+    assert (code, said.err) == (0, "")
+    head, _, first, second = said.out.strip().splitlines()
     assert head.startswith("| hidden | seed | model |")
     three = "1.20 (0.40 mm) | 1.20 (0.40 mm) | 1.20 (0.40 mm) | 3 |"
     assert first == f"| viscosity | 7 | discover | {three} viscosity |"
     assert second == f"| viscosity | 7 | springs | {three}  |"
-    wrong = subprocess.run([*command, "--rows", "magic"], capture_output=True, text=True, check=False)
-    assert wrong.returncode == 2 and "'magic': expected some of discover, elastic" in wrong.stderr
+    monkeypatch.setattr(sys, "argv", [*command, "magic"])
+    assert module.main() == 2 and "'magic': expected some of discover, elastic" in capsys.readouterr().err
 
 
 @pytest.fixture
 def garden(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The benchmark of flowers."""
-    monkeypatch.syspath_prepend(str(SCRIPTS / "flowers"))
-    spec = importlib.util.spec_from_file_location("flowers_run", SCRIPTS / "flowers" / "run.py")
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "flowers_run", module)
-    spec.loader.exec_module(module)
-    for name in ("judge", "table"):  # other benchmarks have files of these names
-        sys.modules.pop(name, None)
-    return module
+    return loaded("flowers", monkeypatch)
 
 
 def test_a_flower_is_made_once(garden: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

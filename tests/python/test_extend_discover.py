@@ -30,6 +30,7 @@ from mphygs.diagnose.ranking import RankedEffect, Ranking
 from mphygs.extend import (
     conclusion,
     discovery,
+    finished_refits,
     first_window,
     grids,
     model_selection,
@@ -654,8 +655,8 @@ def test_only_what_pays_sets_a_bound_for_others(
         return refit
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
-    monkeypatch.setattr(refits, "finish_refit", finish_refit)
-    monkeypatch.setattr(refits, "unabsorbed", lambda *_: own)
+    monkeypatch.setattr(finished_refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(finished_refits, "unabsorbed", lambda *_: own)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     current = step_of(assessment_of(5.0))
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4, rows)))
@@ -685,8 +686,8 @@ def test_near_the_floor_more_are_brought_to_the_end(fifth: float, worst: float, 
     ]
     gain = GainInterval(1.0, 0.5, 1.5, 10)
     finished = [refit_of(gain=gain, drop=1e4, assessment=assessment_of(worst))]
-    assert refits._worth_the_end(begun, 4, finished) is followed
-    assert refits._worth_the_end(begun, 6, finished) is (followed and worst == 1.0)
+    assert finished_refits._worth_the_end(begun, 4, finished) is followed
+    assert finished_refits._worth_the_end(begun, 6, finished) is (followed and worst == 1.0)
 
 
 @pytest.mark.parametrize(
@@ -727,9 +728,9 @@ def test_near_the_floor_who_is_behind_is_asked_again_at_its_place(
         return replace(fit, evaluation=evaluation_of(float(moves_to), 100))
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
-    monkeypatch.setattr(refits, "finish_refit", finish_refit)
-    monkeypatch.setattr(refits, "relocated", relocated)
-    monkeypatch.setattr(refits, "unabsorbed", lambda *_: 0.0)
+    monkeypatch.setattr(finished_refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(finished_refits, "relocated", relocated)
+    monkeypatch.setattr(finished_refits, "unabsorbed", lambda *_: 0.0)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
     alone = SimpleNamespace(settings=ALONE.settings, problem=lambda _spacing: None)
@@ -763,10 +764,10 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
         good = pays or entry.effect == "base_motion"
         return SimpleNamespace(entry=entry, pays=good, may_pay=False, assessment=assessment_of(2.0))
 
-    for function in (start_refit, finish_refit):
-        monkeypatch.setattr(refits, function.__name__, function)
+    for module, function in ((refits, start_refit), (finished_refits, finish_refit)):
+        monkeypatch.setattr(module, function.__name__, function)
     monkeypatch.setattr(refits, "continued_to_all_frames", onward)
-    monkeypatch.setattr(refits, "_hopeless", lambda *_: np.inf)
+    monkeypatch.setattr(finished_refits, "_hopeless", lambda *_: np.inf)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (0.25, solution_of(plain_belief(), evaluation_of(1e6)))
     ranking = ranking_of(*entries, misfit=10.0)
@@ -799,8 +800,8 @@ def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
         return refit_of(gain=gain, chi_square=chi_squares[entry.effect], drop=1e4 if pays else 1.0)
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
-    monkeypatch.setattr(refits, "finish_refit", finish_refit)
-    monkeypatch.setattr(refits, "unabsorbed", lambda *_: 0.0)
+    monkeypatch.setattr(finished_refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(finished_refits, "unabsorbed", lambda *_: 0.0)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
     ranking = ranking_of(*entries, misfit=misfit)
@@ -827,8 +828,8 @@ def test_near_the_floor_those_after_the_third_are_held_by_what_they_leave_beyond
         return refit_of(gain=GainInterval(1.0, 0.5, 1.5, 10), drop=1e4)
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
-    monkeypatch.setattr(refits, "finish_refit", finish_refit)
-    monkeypatch.setattr(refits, "unabsorbed", lambda *_: 0.0)
+    monkeypatch.setattr(finished_refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(finished_refits, "unabsorbed", lambda *_: 0.0)
     entries = [entry_of(name, 1e4) for name in chi_squares]
     window = (1.0, solution_of(plain_belief(), evaluation_of(1e4)))
     ranking = ranking_of(*entries, misfit=misfit)
@@ -844,7 +845,7 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
         return solution_of(plain_belief(), evaluation_of(2e3)) if entry.effect == "air_drag" else None
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
-    monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
+    monkeypatch.setattr(finished_refits, "finish_refit", lambda *_, **__: None)
     near = (1e4 - refits.ALIKE * 2e3) / refits.BEYOND_TANGENTS
     entries = [
         entry_of("air_drag", 6e3), entry_of("fibre", near + 1.0), entry_of("tether", near - 1.0),
@@ -891,7 +892,7 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
         return begun
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
-    monkeypatch.setattr(refits, "finish_refit", lambda *_, **__: None)
+    monkeypatch.setattr(finished_refits, "finish_refit", lambda *_, **__: None)
     monkeypatch.setattr(refits, "with_places_fitted", at_their_places)
     lent: list[tuple[int, int, float]] = []
 

@@ -14,8 +14,9 @@ from mphygs.simulate.body import core_model, hold_boxes
 from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.fields import core_effects, core_inputs
 from mphygs.simulate.observer import Observer
-from mphygs.simulate.op import States, Window, rollout, rollout_windows
+from mphygs.simulate.op import States, rollout, rollout_windows
 from mphygs.simulate.prediction import Predictor
+from mphygs.simulate.rollout_plan import Window
 from mphygs.simulate.settings import Settings
 
 # torch itself compiles its forward-mode rules with what it calls deprecated.

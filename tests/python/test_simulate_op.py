@@ -17,8 +17,9 @@ from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import core_effects, core_inputs, places
 from mphygs.simulate.marker_map import MarkerMap, polar_rotation
-from mphygs.simulate.op import FIELD_NAMES, Window, rollout, rollout_windows
+from mphygs.simulate.op import rollout, rollout_windows
 from mphygs.simulate.rest_op import RestSolver, node_mass, stress_free_state
+from mphygs.simulate.rollout_plan import FIELD_NAMES, Window
 
 # torch itself compiles its forward-mode rules with what it calls deprecated.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")

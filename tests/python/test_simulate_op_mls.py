@@ -12,9 +12,10 @@ from bar_capture import bar_belief, bar_capture
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.fields import core_inputs
-from mphygs.simulate.op import FIELD_NAMES, UserTerms, Window, rollout, rollout_windows
+from mphygs.simulate.op import rollout, rollout_windows
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.prediction_gradient import predict_with_gradient
+from mphygs.simulate.rollout_plan import FIELD_NAMES, UserTerms, Window
 from mphygs.simulate.settings import Settings
 
 # torch itself compiles its forward-mode rules with what it calls deprecated.

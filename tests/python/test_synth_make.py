@@ -141,7 +141,7 @@ def test_the_embedded_capture_is_made_once_and_holds_its_answer(tmp_path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("kind", "simulator"), [("two-part-bar", "total-lagrangian"), ("block-flower", "finite-element")]
+    ("kind", "simulator"), [("two-part-bar", "total-lagrangian"), ("bar", "finite-element")]
 )
 def test_progress_is_told_frame_by_frame_and_ends_at_the_whole(kind, simulator, tmp_path) -> None:
     made_of = small(kind, ("air_drag",), frames=6, simulator=simulator, spacing_share=2.0)

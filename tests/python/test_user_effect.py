@@ -19,8 +19,9 @@ from mphygs.model.user_effect import UserEffect, load_plugin, register_effect
 from mphygs.simulate import discretisation
 from mphygs.simulate.body import core_model
 from mphygs.simulate.fields import core_inputs
-from mphygs.simulate.op import UserTerms, rollout
+from mphygs.simulate.op import rollout
 from mphygs.simulate.prediction import Predictor, Settings
+from mphygs.simulate.rollout_plan import UserTerms
 from mphygs.simulate.settings import check_effects
 
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")

@@ -50,7 +50,7 @@ class Part:
     @property
     def volume(self) -> float:
         """Enclosed volume [m^3]."""
-        return _volume(self.vertices, self.faces)
+        return enclosed_volume(self.vertices, self.faces)
 
     @property
     def bounds(self) -> np.ndarray:
@@ -93,7 +93,7 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     _check_twice(path, vertices, faces)
     faces = _turn_outward(path, vertices, faces)
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    if not _volume(vertices, faces) > 1e-9 * size**3:
+    if not enclosed_volume(vertices, faces) > 1e-9 * size**3:
         raise fault(str(path), "encloses no volume", expected)
     return vertices, faces
 
@@ -162,7 +162,7 @@ def _turn_outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.nda
 
     Raises CaptureError for a body inside another that is turned outward as well, and for too many bodies.
     """
-    if _volume(vertices, faces) < 0:
+    if enclosed_volume(vertices, faces) < 0:
         faces = faces[:, ::-1]
     label = trimesh.graph.connected_component_labels(directed_edges(faces), node_count=len(vertices))[
         faces[:, 0]
@@ -177,7 +177,7 @@ def _turn_outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.nda
         corners = np.unique(faces[own])
         some = corners[:: max(1, len(corners) // _PROBED)]
         inside = np.abs(winding_number(vertices[some], vertices, faces[~own])) > 0.5
-        if _volume(vertices, faces[own]) < 0:
+        if enclosed_volume(vertices, faces[own]) < 0:
             if not inside[0]:
                 faces = np.where(own[:, None], faces[:, ::-1], faces)
         elif inside.all():
@@ -203,7 +203,7 @@ def _check_overlap(path: Path, vertices: np.ndarray, bodies: list[np.ndarray]) -
         low, high = np.maximum(boxes[:, 0], boxes[k, 0]), np.minimum(boxes[:, 1], boxes[k, 1])
         near = (high > low).all(axis=1)
         near[k] = False
-        if not near.any() or _volume(vertices, body) < 0:
+        if not near.any() or enclosed_volume(vertices, body) < 0:
             continue
         low, high = low[near].min(axis=0), high[near].max(axis=0)
         points = low + (high - low) * _SPREAD
@@ -211,11 +211,11 @@ def _check_overlap(path: Path, vertices: np.ndarray, bodies: list[np.ndarray]) -
         others = np.concatenate([bodies[other] for other in np.flatnonzero(near)])
         twice = winding_number(points[own], vertices, others) > 0.5
         shared[k] = float(np.prod(high - low)) * np.count_nonzero(twice) / len(points)
-    whole = sum(_volume(vertices, body) for body in bodies)
+    whole = sum(enclosed_volume(vertices, body) for body in bodies)
     # what two bodies share was found in both
     if 0.5 * sum(shared.values()) <= _SHARED * whole:
         return
-    shares = {k: min(volume / _volume(vertices, bodies[k]), 1.0) for k, volume in shared.items()}
+    shares = {k: min(volume / enclosed_volume(vertices, bodies[k]), 1.0) for k, volume in shared.items()}
     worst = max(shares, key=shares.__getitem__)
     at = ", ".join(f"{x:.4g}" for x in boxes[worst].mean(axis=0))
     body = f"body {worst + 1} of {len(bodies)}, about ({at})"
@@ -223,7 +223,8 @@ def _check_overlap(path: Path, vertices: np.ndarray, bodies: list[np.ndarray]) -
     raise fault(str(path), what, expected)
 
 
-def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Enclosed volume by the divergence theorem, about the mesh's own centre to keep digits."""
+def enclosed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Of a closed mesh with outward faces [m^3], by the divergence theorem about its own centre, which keeps
+    digits."""
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 
 import numpy as np
 
 from mphygs.compare.assess import BUDGET_FLOOR
-from mphygs.diagnose.grid_error import unabsorbed
 from mphygs.diagnose.ranking import RankedEffect, Ranking
+from mphygs.extend.finished_refits import finish_closest
 from mphygs.extend.material_restarts import restarted_from_best_materials
-from mphygs.extend.model_selection import ALIKE, ALIKE_EXCESS
-from mphygs.extend.refit import AT_FLOOR, Refit, finish_refit
+from mphygs.extend.model_selection import ALIKE
+from mphygs.extend.refit import Refit
 from mphygs.extend.refit_beginning import start_refit
 from mphygs.extend.step import Step
 from mphygs.extend.window_continuation import (
-    BEHIND,
     FINISHED,
     LINEAR,
     Begun,
@@ -26,14 +24,10 @@ from mphygs.extend.window_continuation import (
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.place_fit import movable, relocated
-from mphygs.fit.schedule import SCREENING_ACCURACY
 from mphygs.fit.side_by_side import side_by_side, waves
-from mphygs.simulate.errors import SimulationError
 
-# So many effects are begun to be refitted; beyond FINISHED of them, those within a factor of the best chi^2
-# are brought to the end.
-BEGUN, NEARLY = 8, 1.25
+# So many effects are begun to be refitted.
+BEGUN = 8
 # Jacobians of a refit that is begun; where all frames are nearly right; from materials that were not fitted.
 # Far from the data damping goes to its strength in stages, and the right one may be the last to get there.
 FIRST, FIRST_NEAR, FIRST_AFAR = 3, 2, 8
@@ -53,9 +47,6 @@ WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
 # Unless one that promised hardly more comes near: then tangents promise too little. This share is as much.
 AS_MUCH = 0.9
-# Where the best one is at the floor, an effect whose place is not fitted yet may leave so many times as much
-# beyond noise as rivals may.
-MISPLACED_BEYOND = 10.0
 # An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
 # followed.
 HOPELESS = 10.0
@@ -151,7 +142,7 @@ def refits_of(
     fates |= {e.effect: _begun_only(fit, window[0]) for _, e, fit in begun}
 
     def finished(of: Sequence[Begun]) -> list[Refit]:
-        return _finished(experiment, current, of, near, spacing, generator, say)
+        return finish_closest(experiment, current, of, near, spacing, generator, say)
 
     if window[0] == 1.0 or not begun:
         return finished(begun)
@@ -180,11 +171,6 @@ def _begun_only(fit: Solution, share: float) -> str:
     return f"begun, and left {fit.evaluation.misfit:.2f} sigma{frames}"
 
 
-def _at_noise(refit: Refit) -> bool:
-    """Whether a refit pays and leaves noise alone."""
-    return refit.pays and refit.assessment.worst <= AT_FLOOR
-
-
 def _far_behind(entry: RankedEffect, ranking: Ranking, begun: Sequence[Begun]) -> bool:
     """Whether an entry stays behind what is reached even if it brings many times its promise; not where one
     that promised hardly more is near the best already."""
@@ -198,106 +184,3 @@ def _far_behind(entry: RankedEffect, ranking: Ranking, begun: Sequence[Begun]) -
         if other.kind != "threshold" and chi_square < ALIKE * best
     )
     return telling and least > ALIKE * best and not promised_too_little
-
-
-def _finished(
-    experiment: Experiment,
-    current: Step,
-    begun: Sequence[Begun],
-    near: bool,
-    spacing: float,
-    generator: np.random.Generator,
-    say: Callable[[str], None],
-) -> list[Refit]:
-    """The refits that are closest, brought to the end. begun: chi^2, entry and fit, the best first."""
-    finished: list[Refit] = []
-
-    def finish(entry: RankedEffect, solution: Solution) -> None:
-        result = finish_refit(
-            experiment,
-            current.solution,
-            current.compared,
-            entry,
-            solution,
-            spacing,
-            generator=generator,
-            accuracy=SCREENING_ACCURACY,
-            hopeless=_hopeless(experiment, finished, spacing),
-            report=say,
-        )
-        if result is not None:
-            finished.append(result)
-            say(
-                f"{entry.effect}: {current.assessment.worst:.3f} -> {result.assessment.worst:.3f} sigma "
-                "in the worst range"
-            )
-
-    rest: Sequence[Begun] = ()
-    for number, (chi_square, entry, solution) in enumerate(begun):
-        # What the coarse grid has of its own may put the true effect a little behind.
-        # Only one that pays ends the search.
-        behind = ALIKE if near and any(r.pays for r in finished) else BEHIND
-        if near and number >= FINISHED:
-            ends = not _worth_the_end(begun, number, finished)
-        else:
-            ends = chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]
-        if ends:
-            rest = begun[number:]
-            break
-        finish(entry, solution)
-    if near and rest and not any(_at_noise(r) for r in finished):
-        for _, entry, solution in _put_right(experiment, begun, rest, spacing, say):
-            finish(entry, solution)
-    return finished
-
-
-def _put_right(
-    experiment: Experiment,
-    begun: Sequence[Begun],
-    rest: Sequence[Begun],
-    spacing: float,
-    say: Callable[[str], None],
-) -> list[Begun]:
-    """Of refits that are too far behind the best to be brought to the end, those that are not once their
-    place is fitted: a place is proposed from a few, half a cell from its own or more. None where even the
-    best leaves more than rivals may."""
-    rows = begun[0][2].evaluation.data_rows
-    least = ALIKE_EXCESS * rows
-    if begun[0][0] - rows > least:
-        return []
-    near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
-
-    def relocate(twin: Experiment, item: Begun) -> Begun:
-        _, entry, fit = item
-        with suppress(SimulationError):
-            fit = relocated(twin.problem(spacing), fit, report=say)
-        return fit.evaluation.chi_square, entry, fit
-
-    placed = side_by_side(experiment, relocate, near)
-    return [item for item in placed if item[0] - rows <= BEHIND * least]
-
-
-def _worth_the_end(
-    begun: Sequence[Begun], number: int, finished: Sequence[Refit]
-) -> bool:
-    """Whether a further refit is brought to the end near the floor, where all are within a factor of the best
-    and what they leave beyond noise tells: as little as the best, or as rivals may; or, as long as none of so
-    many again is at the noise, what the true effect may leave after few iterations."""
-    rows = begun[number][2].evaluation.data_rows
-    beyond, least = begun[number][0] - rows, begun[0][0] - rows
-    if beyond <= max(NEARLY * least, ALIKE_EXCESS * rows):
-        return True
-    return number < 2 * FINISHED and beyond <= BEHIND * least and not any(_at_noise(r) for r in finished)
-
-
-def _hopeless(experiment: Experiment, finished: Sequence[Refit], spacing: float) -> float:
-    """chi^2 of the fitted frames above which no further refit is brought to the end."""
-    # What does not pay may have bought the fitted frames: it sets no bound.
-    paying = [r for r in finished if r.pays]
-    if not paying:
-        return np.inf
-    best = min(paying, key=lambda r: r.solution.evaluation.chi_square)
-    evaluation = best.solution.evaluation
-    # Nothing is better than noise, nor told apart within what the grid has of its own.
-    own = unabsorbed(experiment, spacing, best.belief, evaluation)
-    return ALIKE * max(evaluation.chi_square, evaluation.data_rows * (1.0 + own**2))

@@ -11,8 +11,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from mphygs.capture.meshes import enclosed_volume
 from mphygs.scene.closest import closest_on_mesh
-from mphygs.scene.quadrature import mesh_volume
 from mphygs.scene.rays import checked_boxes, inside
 
 if TYPE_CHECKING:
@@ -100,7 +100,8 @@ def _pieces(part: Part) -> list[_Piece]:
     label = connected_components(graph, directed=False)[1][faces[:, 0]]
     found = [_Piece(part.name, part.vertices, faces[label == k]) for k in np.unique(label)]
     # A hole inside is no piece of its own.
-    return [_used(piece) for piece in found] if all(mesh_volume(p) > 0.0 for p in found) else [_used(part)]
+    hollow = any(not enclosed_volume(piece.vertices, piece.faces) > 0.0 for piece in found)
+    return [_used(piece) for piece in ([part] if hollow else found)]
 
 
 def _used(piece: _Piece | Part) -> _Piece:
@@ -153,7 +154,7 @@ def _thickness(part: _Piece) -> float:
     """Twice the volume over the surface: the thickness of a sheet [m]."""
     corners = part.vertices[part.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 4.0 * mesh_volume(part) / float(np.linalg.norm(cross, axis=1).sum())
+    return 4.0 * enclosed_volume(part.vertices, part.faces) / float(np.linalg.norm(cross, axis=1).sum())
 
 
 def _covered(

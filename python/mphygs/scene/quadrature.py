@@ -238,7 +238,7 @@ def _checked_blocks(
     """All blocks, with the volumes of the meshes. spacing, corner: (3,), or (P, 3) of own grids [m]."""
     seen = _seen(parts, np.sum([blocks.seen for blocks in found], axis=0))
     cell, part, share, volume, points = (np.concatenate(x) for x in zip(*(b[:5] for b in found), strict=True))
-    part_volume = np.array([mesh_volume(part) for part in parts])
+    part_volume = np.array([part.volume for part in parts])
     sampled = np.bincount(part, weights=volume, minlength=len(parts))
     free_volume = part_volume * sampled / seen
     kept = share >= SMALLEST_SHARE
@@ -264,12 +264,6 @@ def _checked_blocks(
         part_volume=part_volume,
         free_volume=free_volume,
     )
-
-
-def mesh_volume(part: Part) -> float:
-    """Volume enclosed by a closed mesh with outward faces [m^3], by the divergence theorem."""
-    corners = (part.vertices - part.vertices.mean(axis=0))[part.faces]
-    return float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
 
 
 def _checked(

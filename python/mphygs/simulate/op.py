@@ -7,23 +7,18 @@ forces, feedback and its targets) is given with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mphygs.simulate import core_runs
-from mphygs.simulate.body import Body
 from mphygs.simulate.observer import Observer
+from mphygs.simulate.rollout_plan import FIELD_NAMES, Plan, UserTerms, Window
 from mphygs.simulate.user_forces import UserForces
 
-FIELD_NAMES = (
-    "mu", "lambda", "stress_volume", "mass", "deformation0", "effect", "place_mass", "place_effect",
-    "gravity", "displacement0", "velocity0", "node_force", "pose", "target", "channel",
-)  # fmt: skip
 NO_SECOND_DERIVATIVE = (
     "a rollout has first derivatives only: expected backward() without create_graph, one forward level"
 )
@@ -33,80 +28,13 @@ NO_BATCHED_INPUTS = "vmap over the inputs of a rollout: expected windows in one 
 States = tuple[Tensor, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
-    """One stretch of time. schedule: {"steps": (F,), "dt": (F,) [s], "start": [s]}.
-
-    fields: tensors of this window alone; they take the place of shared ones of the same name; observer:
-    feedback towards the field `target`, (F, M, 4, 3) [m] cubic polynomials in the share of each of F
-    intervals, for each of the observer's M channels; None for a free run, which has no such field.
-    """
-
-    schedule: Mapping[str, object]
-    fields: Mapping[str, Tensor] = field(default_factory=dict)
-    observer: Observer | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class UserTerms:
-    """Effects in Python that a rollout includes.
-
-    names: registered effects; parameters: (Q,) their values, one effect after the other; body: the object
-    that the model was built from.
-    """
-
-    names: tuple[str, ...]
-    parameters: Tensor
-    body: Body
-
-
-@dataclass(frozen=True, eq=False)
-class _Plan:
-    """What of a call is not a tensor. slots: per window, field name -> index among the tensors; with effects
-    in Python the last tensor holds their parameters."""
-
-    model: object
-    schedules: tuple[dict, ...]
-    slots: tuple[dict[str, int], ...]
-    observers: tuple[Observer | None, ...]
-    workers: int
-    user_names: tuple[str, ...] = ()
-    user_body: Body | None = None
-
-    def hook(
-        self,
-        window: int,
-        arrays: Sequence[np.ndarray],
-        directions: Sequence[Sequence[np.ndarray | None]] = (),
-    ) -> UserForces | None:
-        if self.user_body is None:
-            return None
-        mass = self.slots[window]["mass"]
-        zero = np.zeros_like(arrays[-1])
-        return UserForces(
-            self.user_names, arrays[-1], mass=arrays[mass], body=self.user_body, dtype=arrays[-1].dtype.type,
-            directions=[(zero if d[-1] is None else d[-1], d[mass]) for d in directions],
-        )  # fmt: skip
-
-    def fields(self, window: int, arrays: Sequence[np.ndarray | None]) -> dict[str, np.ndarray]:
-        return {name: arrays[i] for name, i in self.slots[window].items() if arrays[i] is not None}
-
-    def each(self, work: Callable[[int], object]) -> list:
-        """work(window) for every window; results in order. The core leaves the interpreter free meanwhile."""
-        windows = range(len(self.schedules))
-        if self.workers == 1 or len(windows) == 1:
-            return [work(w) for w in windows]
-        with ThreadPoolExecutor(min(self.workers, len(windows))) as pool:
-            return list(pool.map(work, windows))
-
-
 def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
 
 
 class _Rollout(torch.autograd.Function):
     @staticmethod
-    def forward(plan: _Plan, *tensors: Tensor) -> tuple[Tensor, ...]:
+    def forward(plan: Plan, *tensors: Tensor) -> tuple[Tensor, ...]:
         arrays = [_array(t) for t in tensors]
         runs = plan.each(
             lambda w: core_runs.run_core(
@@ -135,7 +63,7 @@ class _Rollout(torch.autograd.Function):
         return (None, *_Gradient.apply(ctx.plan, wanted, len(tensors), *tensors, *bars))
 
     @staticmethod
-    def vmap(info: object, in_dims: tuple, plan: _Plan, *tensors: Tensor) -> tuple:
+    def vmap(info: object, in_dims: tuple, plan: Plan, *tensors: Tensor) -> tuple:
         # Inputs that are not batched do not come here; a rollout runs windows, not batches.
         raise NotImplementedError(NO_BATCHED_INPUTS)
 
@@ -149,7 +77,7 @@ class _Gradient(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        plan: _Plan, wanted: tuple[bool, ...], count: int, *tensors: Tensor | None
+        plan: Plan, wanted: tuple[bool, ...], count: int, *tensors: Tensor | None
     ) -> tuple[Tensor | None, ...]:
         inputs, bars = tensors[:count], tensors[count:]
         arrays = [_array(t) for t in inputs]
@@ -201,7 +129,7 @@ class _Tangent(torch.autograd.Function):
     """The tangent in one direction, or under vmap in all of them in one run."""
 
     @staticmethod
-    def forward(plan: _Plan, count: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
+    def forward(plan: Plan, count: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
         directions = [[None if t is None else _array(t) for t in tensors[count:]]]
         out = _tangents(plan, [_array(t) for t in tensors[:count]], directions)
         return tuple(torch.from_numpy(a[0]) for a in out)
@@ -219,7 +147,7 @@ class _Tangent(torch.autograd.Function):
         raise NotImplementedError(NO_SECOND_DERIVATIVE)
 
     @staticmethod
-    def vmap(info: object, in_dims: tuple, plan: _Plan, count: int, *tensors: Tensor | None) -> tuple:
+    def vmap(info: object, in_dims: tuple, plan: Plan, count: int, *tensors: Tensor | None) -> tuple:
         dims = in_dims[2:]
         if any(d is not None for d in dims[:count]):
             raise NotImplementedError(NO_BATCHED_INPUTS)
@@ -235,7 +163,7 @@ class _Tangent(torch.autograd.Function):
 
 
 def _tangents(
-    plan: _Plan, arrays: list[np.ndarray], directions: list[list[np.ndarray | None]]
+    plan: Plan, arrays: list[np.ndarray], directions: list[list[np.ndarray | None]]
 ) -> list[np.ndarray]:
     """Derivatives of every window's states, each (K, F + 1, N, ...)."""
 
@@ -298,7 +226,7 @@ def rollout_windows(
     common = indices(shared, "shared fields")
     slots = tuple(common | indices(window.fields, f"window {k}") for k, window in enumerate(windows))
     schedules = tuple(dict(window.schedule) for window in windows)
-    plan = _Plan(model, schedules, slots, tuple(window.observer for window in windows), workers)
+    plan = Plan(model, schedules, slots, tuple(window.observer for window in windows), workers)
     if user is not None:
         keep(user.parameters, "the user's parameters")
         plan = replace(plan, user_names=user.names, user_body=user.body)

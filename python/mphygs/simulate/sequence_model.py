@@ -190,8 +190,7 @@ class SequenceModel:
     # ---- fields -------------------------------------------------------------------------------
     def inputs(self, belief: Belief, timeline: Timeline, start: Start | None = None) -> dict[str, np.ndarray]:
         """All fields of the core for this sequence."""
-        fields = self._material(belief, start)
-        return fields | self._imposed(belief, timeline)
+        return self._material(belief, start) | self._imposed(belief, timeline)
 
     def _material(self, belief: Belief, start: Start | None) -> dict[str, np.ndarray]:
         """Fields of the belief and of the initial state."""
