@@ -51,7 +51,8 @@ def moved_flower() -> Capture:
     )  # fmt: skip
     known = Known(density={part.name: 800.0 for part in parts}, poissons_ratio=0.3)
     capture = replace(capture, known=known)
-    truth = bar_belief(capture, youngs_modulus=[TRUTH[p.name] for p in parts], density=800.0, prestress="equilibrium")
+    moduli = [TRUTH[p.name] for p in parts]
+    truth = bar_belief(capture, youngs_modulus=moduli, density=800.0, prestress="equilibrium")
     (recording,) = capture.sequences
     settings = Settings(SPACING, workers=1, dtype="float64")
     position = Predictor(capture, recording, settings).predict(truth).position

@@ -23,11 +23,11 @@ from mphygs.simulate.transfer import Carried, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
 
-# Of an implicit step: iterations, and new matrices. A body that bends far takes more of both than a thick one;
-# these two hold all bodies of benchmarks/implicit within a factor of 2.5.
+# Of an implicit step: iterations, and new matrices. A body that bends far takes more of both than a thick
+# one; these two hold all bodies of benchmarks/implicit within a factor of 2.5.
 ITERATIONS, RENEWALS = 12.0, 0.25
-# Forces of a block of eight points in single precision, as an explicit substep takes them, in the operations that
-# the core counts with: half of those in double precision.
+# Forces of a block of eight points in single precision, as an explicit substep takes them, in the operations
+# that the core counts with: half of those in double precision.
 FORCES = 1e4
 
 
