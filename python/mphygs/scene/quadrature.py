@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mphygs.capture.meshes import enclosed_volume
 from mphygs.scene.blocks import CORNERS, Blocks, Grid, fitting, moments, spread
 from mphygs.scene.columns import Strips, cut_axis, flat_planes, split_columns
 from mphygs.scene.curved_quadrature import fill_curved
@@ -238,7 +239,7 @@ def _checked_blocks(
     """All blocks, with the volumes of the meshes. spacing, corner: (3,), or (P, 3) of own grids [m]."""
     seen = _seen(parts, np.sum([blocks.seen for blocks in found], axis=0))
     cell, part, share, volume, points = (np.concatenate(x) for x in zip(*(b[:5] for b in found), strict=True))
-    part_volume = np.array([part.volume for part in parts])
+    part_volume = np.array([enclosed_volume(part.vertices, part.faces) for part in parts])
     sampled = np.bincount(part, weights=volume, minlength=len(parts))
     free_volume = part_volume * sampled / seen
     kept = share >= SMALLEST_SHARE

@@ -78,23 +78,11 @@ inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd&
     hold(n, frame, rule.reach * dt, true, last);
 }
 
-/// The largest share by which a direction changes a modulus or a volume.
-template <class T, int L>
-inline double TotalLagrangianDirections<T, L>::stiffer(std::size_t k) const {
-    double most = 0;
-    for (const auto field : {&Fields<T>::mu, &Fields<T>::lambda, &Fields<T>::stress_volume}) {
-        const std::vector<T>&own = (*value_.inputs_.primal).*field, &change = (*directions_[k]).*field;
-        for (std::size_t i = 0; i < change.size(); ++i) {
-            most = own[i] > T{} ? std::max(most, std::abs(static_cast<double>(change[i] / own[i]))) : most;
-        }
-    }
-    return most;
-}
-
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 100, patience = 25;
+    constexpr double few = 10.0;  // times round-off, which is measured once and not alike each time
     value_.solve_midpoint(n, frame, time, dt);
     value_.stand_at_middle();
     MidpointState<T>& m = *value_.midpoint_;
@@ -117,13 +105,21 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     const std::size_t count = directions_.size();
     std::vector<Anderson> mixed(count, Anderson(m.matrix.weight(), 20));
     std::vector<double> before(count, std::numeric_limits<double>::infinity());
-    // Where strains are next to nothing round-off is all that the law's stress says of its moduli; in float32 the looser
-    // tolerance allows for that.
-    std::vector<double> noise(count, 0.0);
-    const double spread = m.matrix.size(value_.by_node(value_.u_)) + m.length;
-    for (std::size_t k = 0; k < count && Tolerance::round_off < 1e-10; ++k) {
-        noise[k] = Tolerance::noise_loose * spread * stiffer(k) / dt;
-    }
+    // The map is b + L x: what a multiple of x changes beside the same multiple of that change is round-off, of terms that
+    // cancel, as those of a modulus and of the rest shape that goes with it do where nothing moves.
+    std::vector<double> noise;
+    const auto round_off = [&](const Eigen::MatrixXd& at, const Eigen::MatrixXd& mapped) {
+        const double more = 0.1;
+        const auto map = [&](const Eigen::MatrixXd& of) {
+            midpoint_map(of, n, frame, middle, dt, false);
+            return velocities();
+        };
+        const Eigen::MatrixXd further = map((1.0 + more) * at), none = map(Eigen::MatrixXd::Zero(at.rows(), at.cols()));
+        const Eigen::MatrixXd left = m.matrix.solve(further - (1.0 + more) * mapped + more * none);
+        for (std::size_t k = 0; k < count; ++k) {
+            noise.push_back(few * m.matrix.size(left.col(static_cast<Eigen::Index>(k))));
+        }
+    };
     bool fresh = false, settled = false;
     int i = 0;
     for (;; ++i) {
@@ -132,17 +128,23 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
             break;
         }
         m.spend(static_cast<double>(count));
-        const Eigen::MatrixXd d = m.matrix.solve(velocities() - x);
+        const Eigen::MatrixXd mapped = velocities(), d = m.matrix.solve(mapped - x), at = x;
         settled = true;
+        bool stalled = false;
         for (std::size_t k = 0; k < count; ++k) {
             const Eigen::Index column = static_cast<Eigen::Index>(k);
             const double size = m.matrix.size(d.col(column)), moves = m.matrix.size(x.col(column) + d.col(column));
             // A correction says how far x was off; what is left after it is as much smaller again.
             const double rate = std::isfinite(before[k]) ? std::min(1.0, size / before[k]) : 1.0;
-            settled = settled && (size * rate <= Tolerance::linear * moves || size <= noise[k] ||
-                                  (rate > 0.5 && size <= Tolerance::linear_loose * moves));
+            const bool good = size * rate <= Tolerance::linear * moves || (rate > 0.5 && size <= Tolerance::linear_loose * moves) ||
+                              (!noise.empty() && size <= noise[k]);
+            settled = settled && good;
+            stalled = stalled || (!good && rate > 0.5);
             before[k] = size;
             x.col(column) = mixed[k].next(x.col(column), d.col(column));
+        }
+        if (stalled && i > 0 && noise.empty()) {
+            round_off(at, mapped);
         }
         if (!x.allFinite() || i == most) {
             throw SimulationError("the derivatives of the implicit step do not converge before output frame " + std::to_string(frame + 1) +

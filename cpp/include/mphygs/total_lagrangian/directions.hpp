@@ -234,7 +234,6 @@ class TotalLagrangianDirections {
     void hold(int n, int frame, double dt, bool aimed = true, bool reacting = true);
     // See `direction_midpoint.hpp`. Changes of the velocity are (3 N, directions) there.
     void midpoint_step(int n, int frame, double time, double dt);
-    double stiffer(std::size_t k) const;
     void midpoint_map(const Eigen::MatrixXd& x, int n, int frame, double middle, double dt, bool last);
     void enter(const Eigen::MatrixXd& x);
     Eigen::MatrixXd velocities() const;
