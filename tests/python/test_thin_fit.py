@@ -18,7 +18,7 @@ from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
 from thin_meshes import held_capture, leaf, tube_mesh
 
-SPACING, LENGTH, FRAMES = 0.009, 0.06, 16
+SPACING, LENGTH, FRAMES = 0.007, 0.06, 16
 TRUTH = {"stem": 3e8, "petal": 5e6}
 
 
@@ -59,6 +59,24 @@ def moved_flower() -> Capture:
     position = position + 1e-4 * generator.standard_normal(position.shape)
     markers = replace(recording.markers, position=position)
     return replace(capture, sequences=(replace(recording, markers=markers),))
+
+
+def test_a_pull_that_the_rest_shape_carries_too_has_the_slope_of_differences() -> None:
+    # More gravity, and a rest shape that carries it, change forces that cancel where nothing moves yet.
+    capture, last = moved_flower(), 6
+    predictor = Predictor(capture, capture.sequences[0], Settings(SPACING, workers=1, dtype="float64"))
+    moduli = [TRUTH[p.name] for p in capture.parts]
+    belief = bar_belief(
+        capture, youngs_modulus=moduli, density=800.0, prestress="equilibrium", free=()
+    ).with_effect("gravity")
+    key, step = "gravity.delta_g_x", 0.1
+    slope = predictor.predict(belief, last=last, keys=(key,)).jacobian[..., 0]
+    more, less = (
+        predictor.predict(belief.with_parameter(key, value=at), last=last).position for at in (step, -step)
+    )
+    difference = (more - less) / (2.0 * step) * belief[key].scale  # slopes are by the coordinate
+    assert np.abs(difference).max() > 1e-6
+    assert slope == pytest.approx(difference, abs=1e-5 * np.abs(difference).max())
 
 
 @pytest.mark.slow
