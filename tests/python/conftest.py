@@ -1,6 +1,7 @@
 """Fixtures that many tests share."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,3 +19,12 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("the shared data (../shared/data beside the repository) is not here")
     return SHARED_DATA
+
+
+@pytest.fixture(autouse=True)
+def lets_go_of_folders() -> Iterator[None]:
+    """What a test holds without a command around it is let go at its end: other tests run in this process."""
+    from mphygs.commands import in_use
+
+    with in_use.held():
+        yield
