@@ -87,6 +87,7 @@ def read_options(
         if stop.code in (0, None):
             return None
         complaint = heard.getvalue().split("For full helptext")[0]
-        # The parser draws its complaint in a box.
+        # The parser draws its complaint in a box, below a title that says less.
+        complaint = re.sub(r"(?m)^(\x1b\[[0-9;]*m)*╭.*$", "", complaint)
         words = re.sub(r"[─-╿]+|-{3,}", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
         raise OptionError(f"{one_line(words)} (see {program} --help)") from None
