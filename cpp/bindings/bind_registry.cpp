@@ -87,7 +87,7 @@ void bind_registry(py::module_& m) {
             }
         } catch (const SimulationError& e) {
             py::object type = py::module_::import("mphygs.simulate.errors").attr("SimulationError");
-            py::object error = type(e.what(), py::arg("frame") = e.frame, py::arg("part") = e.part);
+            py::object error = type(e.what(), py::arg("frame") = e.frame, py::arg("part") = e.part, py::arg("shorter") = e.shorter);
             PyErr_SetObject(type.ptr(), error.ptr());
         }
     });

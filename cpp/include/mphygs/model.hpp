@@ -19,6 +19,7 @@ struct SimulationError : std::runtime_error {
     using std::runtime_error::runtime_error;
     int frame = -1;
     int part = -1;
+    bool shorter = false;  // whether shorter steps before `frame` may do
 };
 
 /// Geometry of the discretised object. Points come in blocks of eight that share one cell.

@@ -259,14 +259,14 @@ def swing_variant(belief: Belief, spec: EffectSpec, label: str, values: Values) 
 
 # ---- where an object suggests to put things ------------------------------------------------------------
 def spread_places(body: Body, count: int) -> np.ndarray:
-    """(count, 3) material points far from each other and from the holds, farthest first [m]."""
+    """(n, 3) material points far apart and from the holds [m], farthest first: as many as labels tell."""
     points = body.quadrature.points[: body.free_block_count].mean(1)
     held = body.held_points
     distance = np.full(len(points), np.inf)
     if len(held):
         distance = np.linalg.norm(points[:, None] - held[None], axis=-1).min(1)
-    chosen = []
-    for _ in range(min(count, len(points))):
+    chosen: list[int] = []
+    while len(chosen) < count and distance.max() > np.sqrt(3.0) * 0.1 ** place_digits(body):
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
     return points[chosen]

@@ -13,6 +13,7 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.measurement import before_measurement, with_measurement_faults
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.scope import acts_in_simulation
+from mphygs.simulate.shorter_steps import in_steps_that_do
 from mphygs.simulate.timeline import Timeline
 
 # Of the time between frames: the difference that gives the slope by a release.
@@ -66,8 +67,13 @@ class ForcedSequence:
 
     def run(self, belief: Belief, force: np.ndarray) -> ForcedMotion:
         """Simulate. Raises SimulationError where the run is unstable."""
+        motion, _ = in_steps_that_do(
+            self.timeline(belief), lambda timeline: self._run_on(timeline, belief, force)
+        )
+        return motion
+
+    def _run_on(self, timeline: Timeline, belief: Belief, force: np.ndarray) -> ForcedMotion:
         predictor, model = self.predictor, self.model(belief)
-        timeline = self.timeline(belief)
         fields = predictor.inputs(belief, timeline)
         fields["node_force"] = force[timeline.moving] + fields.get("node_force", 0.0)
         hook = predictor._hook(belief, fields)

@@ -26,6 +26,7 @@ from mphygs.simulate.scope import (
 )
 from mphygs.simulate.sequence_model import SequenceModel
 from mphygs.simulate.settings import Settings, check_effects
+from mphygs.simulate.shorter_steps import in_steps_that_do
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
 
@@ -113,7 +114,7 @@ class Predictor(SequenceModel):
             and moves_targets(parameter)
         ]
         moving = [wanted[k] for k in slots]
-        states, tangents = self._runs(belief, moving, timeline, start, progress, feedback)
+        states, tangents, timeline = self._runs(belief, moving, timeline, start, progress, feedback)
         position, velocity = self.carriers.observe(states, timeline, self.recording)
         jacobian = np.zeros((*position.shape, len(wanted)))
         for slot, tangent in zip(slots, tangents, strict=True):
@@ -206,7 +207,7 @@ class Predictor(SequenceModel):
             step = -step
         moved = belief.with_parameter(parameter.key, value=parameter.value + step)
         timeline = self.timeline(moved, last, dt)
-        states = self.states(moved, timeline, feedback=feedback)
+        states, _, timeline = self._runs(moved, [], timeline, None, None, feedback)
         later, _ = self.carriers.observe(states, timeline, self.recording)
         readings = tuple(i.read(moved, states, timeline) for i in self.instruments)
         return Started(later, readings, parameter.slope / step)
@@ -219,8 +220,22 @@ class Predictor(SequenceModel):
         start: Start | None,
         progress: Callable[[int], bool] | None,
         feedback: Feedback | None,
+    ) -> tuple[tuple, list[tuple], Timeline]:
+        """The states, their tangent by every owned parameter, and the timeline, in steps that do."""
+        (states, tangents), timeline = in_steps_that_do(
+            timeline, lambda one: self._run_on(one, belief, owned, start, progress, feedback)
+        )
+        return states, tangents, timeline
+
+    def _run_on(
+        self,
+        timeline: Timeline,
+        belief: Belief,
+        owned: Sequence[Owned],
+        start: Start | None,
+        progress: Callable[[int], bool] | None,
+        feedback: Feedback | None,
     ) -> tuple[tuple, list[tuple]]:
-        """The states, and their tangent by every owned parameter."""
         observer = None if feedback is None else feedback.observer(timeline)
         schedule = self.schedule(timeline)
         pull = {} if feedback is None else {"target": feedback.target(belief, timeline)}

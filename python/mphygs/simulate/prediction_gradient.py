@@ -11,6 +11,7 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.measurement import before_measurement
 from mphygs.simulate.prediction import Prediction, Predictor
 from mphygs.simulate.scope import acts_in_simulation
+from mphygs.simulate.shorter_steps import in_steps_that_do
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
 
@@ -54,7 +55,10 @@ def predict_with_gradient(
         times = timeline.frames / predictor.recording.fps
         bar, *reading_bars = (_longer(own, len(times)) for own in (bar, *reading_bars))
         seen = before_measurement(belief, times, bar)
-        slopes = _through_simulation(predictor, belief, simulated, timeline, start, seen, reading_bars)
+        slopes, _ = in_steps_that_do(
+            timeline,
+            lambda one: _through_simulation(predictor, belief, simulated, one, start, seen, reading_bars),
+        )
         gradient.update(zip(simulated, slopes, strict=True))
     return prediction, np.array([gradient[key] for key in keys])
 

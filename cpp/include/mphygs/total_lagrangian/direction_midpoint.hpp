@@ -147,8 +147,11 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
             round_off(at, mapped);
         }
         if (!x.allFinite() || i == most) {
-            throw SimulationError("the derivatives of the implicit step do not converge before output frame " + std::to_string(frame + 1) +
+            SimulationError error("the derivatives of the implicit step do not converge before output frame " + std::to_string(frame + 1) +
                                   " (t = " + std::to_string(time) + " s)");
+            error.frame = frame + 1;
+            error.shorter = true;
+            throw error;
         }
         if (i == patience && !fresh) {
             m.refresh(middle, dt, rule.span * dt);

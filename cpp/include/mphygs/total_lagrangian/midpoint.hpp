@@ -118,7 +118,13 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     const auto refresh = [&](std::vector<T> place, std::vector<T> velocity) {
         place.swap(m.place);
         velocity.swap(m.middle);
-        m.refresh(time + rule.at * dt, dt, rule.span * dt);
+        try {
+            m.refresh(time + rule.at * dt, dt, rule.span * dt);
+        } catch (SimulationError& error) {
+            error.frame = frame + 1;
+            error.shorter = true;
+            throw;
+        }
         place.swap(m.place);  // the middle stays what it was last taken to be
         velocity.swap(m.middle);
     };
@@ -237,6 +243,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
                           std::to_string(frame + 1) + " (t = " + std::to_string(time) +
                           " s); shorter steps may, or the material inverts");
     error.frame = frame + 1;
+    error.shorter = true;
     throw error;
 }
 
