@@ -11,7 +11,7 @@ import trimesh
 
 from capture_example import FRAMES, Example, bar, shared
 from mphygs.capture.errors import CaptureError
-from mphygs.capture.format import load_capture
+from mphygs.capture.format import load_capture, save_capture
 from mphygs.capture.meshes import write_mesh
 
 
@@ -68,6 +68,14 @@ def test_gaussians_or_views_instead_of_parts(tmp_path: Path) -> None:
     assert 'object.views: "rest" does not exist' in example.complaint()
     (tmp_path / "rest" / "sparse" / "0").mkdir(parents=True)
     assert example.load().views == tmp_path / "rest"
+    assert example.load().found_as == "solid"
+    example.document["object"]["as"] = "auto"
+    capture = example.load()
+    assert capture.found_as == "auto"
+    save_capture(capture, tmp_path / "again")
+    assert load_capture(tmp_path / "again").found_as == "auto"
+    example.document["object"]["as"] = "shell"
+    assert 'object.as: is "shell"; expected one of solid, auto' in example.complaint()
     example.document["object"] = {"gaussians": "high.stl", "rest": "equilibrium"}
     assert "object.gaussians" in example.complaint() and "is not a .ply file" in example.complaint()
 
@@ -161,6 +169,7 @@ OBJECT, PART, FIRST = ("object",), ("object", "parts", 0), ("sequences", 0)
             set_key(*OBJECT, "gaussians", value="low.ply"),
             "object: has parts and gaussians; expected exactly one of",
         ),
+        (set_key(*OBJECT, "as", value="auto"), "object.as: stands beside parts; expected views or gaussians"),
         (set_key(*OBJECT, "parts", value=[]), "object.parts: is empty; expected at least one part"),
         (set_key(*PART, "colour", value="red"), "object.parts[0].colour: unknown key"),
         (set_key(*PART, "mesh", value="no.ply"), 'object.parts[0].mesh: "no.ply" does not exist'),

@@ -780,6 +780,43 @@ def test_those_behind_on_a_short_window_follow_where_none_in_front_pays(
     assert [r.entry.effect for r in found if r.pays][0] == ("frame_drift" if pays else "base_motion")
 
 
+@pytest.mark.parametrize("pays", [True, False])
+def test_what_promised_little_is_begun_where_what_promised_more_does_not_pay(
+    pays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A threshold leads on a strip whose drag had bent the materials: it scored a tenth of that."""
+    asked: list[str] = []
+
+    def start_refit(_e: object, _b: object, entry: RankedEffect, *_: object, **__: object) -> Solution:
+        asked.append(entry.effect)
+        left = 1800.0 if entry.effect == "plasticity" else 1200.0
+        return solution_of(plain_belief(), evaluation_of(left, 1137))
+
+    def finish_refit(
+        _e: object, _b: object, _c: object, entry: RankedEffect, *_: object, **__: object
+    ) -> SimpleNamespace:
+        good = pays or entry.effect != "plasticity"
+        return SimpleNamespace(entry=entry, pays=good, may_pay=False, assessment=assessment_of(2.0))
+
+    monkeypatch.setattr(refits, "start_refit", start_refit)
+    monkeypatch.setattr(finished_refits, "finish_refit", finish_refit)
+    monkeypatch.setattr(finished_refits, "unabsorbed", lambda *_: 0.0)
+    monkeypatch.setattr(finished_refits, "_hopeless", lambda *_: np.inf)
+    entries = [
+        entry_of("plasticity", 1055.0, kind="threshold"), entry_of("air_drag", 367.0),
+        entry_of("gravity", 346.0), entry_of("fibre", 15.0),
+    ]  # fmt: skip
+    ranking = replace(ranking_of(*entries), chi_square=3825.0, rows=1137)
+    window = (1.0, solution_of(plain_belief(), evaluation_of(3825.0, 1137)))
+    fates: dict[str, str] = {}
+    found = refits_of(
+        ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None, fates=fates
+    )
+    assert asked == (["plasticity"] if pays else ["plasticity", "air_drag", "gravity"])
+    assert any(r.entry.effect == "air_drag" and r.pays for r in found) is not pays
+    assert "noise" in fates["fibre"]
+
+
 @pytest.mark.parametrize(("misfit", "pays", "asked"), [(1.5, True, 1), (2.5, True, 2), (1.5, False, 2)])
 def test_near_the_floor_only_the_leaders_are_brought_to_the_end(
     misfit: float, pays: bool, asked: int, monkeypatch: pytest.MonkeyPatch
@@ -857,7 +894,8 @@ def test_what_cannot_come_near_the_best_is_not_begun(monkeypatch: pytest.MonkeyP
         begun.clear()
         ranking = replace(ranking_of(*entries, misfit=misfit), chi_square=1e4)
         ranking = replace(ranking, rows=round(1e4 / misfit**2))
-        refits_of(ALONE, step_of(assessment_of(5.0)), window, ranking, SPACING, None, lambda _text: None)
+        step = step_of(assessment_of(5.0))
+        refits_of(ALONE, step, window, ranking, SPACING, None, lambda _text: None, onward=False)
         return list(begun)
 
     assert begun_at(3.9) == ["air_drag", "fibre", "contact"]

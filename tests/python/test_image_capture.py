@@ -75,6 +75,9 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     capture = recorded()
     whole = assembled(capture, folder)
     assert [part.name for part in whole.parts] == ["segment-00", "segment-01"]
+    assert [part.shape for part in whole.parts] == ["solid", "solid"]
+    told = assembled(replace(capture, found_as="auto"), folder)
+    assert [part.shape for part in told.parts] == ["auto", "auto"]
     # particles that do not say what they were found in show as much as their spacing
     path = StageFolder(folder).particles
     thin, thick = (whole.parts[k].boundary for k in range(2))

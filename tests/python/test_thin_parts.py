@@ -243,6 +243,18 @@ def test_auto_chooses_by_the_cells_that_fit_through() -> None:
     assert chosen_shape(replace(rod(), shape="solid"), 0.005)[0] == "solid"
 
 
+def test_auto_leaves_what_is_thin_and_no_sheet_or_rod_a_solid_and_says_why() -> None:
+    # Two leaves in one part, as a segment of a picture may have them.
+    one = strip(0.03, 0.02, held=0.0)
+    both = np.concatenate([one.vertices, one.vertices[:, [2, 0, 1]] + [0.0, 0.05, 0.0]])
+    pair = Part("leaves", both, np.concatenate([one.faces, one.faces + len(one.vertices)]), shape="auto")
+    shape, why = chosen_shape(pair, 0.005)
+    assert shape == "solid" and "0.3 mm thick" in why and "several pieces" in why
+    assert lay_chart(pair, 0.005) is None
+    with pytest.raises(ValueError, match="several pieces"):
+        lay_chart(replace(pair, shape="shell"), 0.005)
+
+
 def test_a_default_grid_counts_sheets_by_their_area() -> None:
     flat = strip(0.1, 0.05, 2e-4, held=0.0)
     capture = held_capture([flat])

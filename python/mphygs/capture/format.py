@@ -75,13 +75,14 @@ def load_capture(path: str | Path) -> Capture:
         views=views,
         views_scale=views_scale,
         gaussians_scale=gaussians_scale,
+        found_as=_read_found_as(root["object"]),
     )
     check_capture(capture)
     return capture
 
 
 def _read_geometry(folder: Path, entry: Entry) -> tuple[tuple[Part, ...], Path | None, Path | None]:
-    entry.check_keys(required=("rest",), optional=(*_GEOMETRIES, *_UNITS, "known"))
+    entry.check_keys(required=("rest",), optional=(*_GEOMETRIES, *_UNITS, "known", "as"))
     given = [key for key in _GEOMETRIES if entry.get(key)]
     if len(given) != 1:
         what = f"has {' and '.join(given)}" if given else "has no geometry"
@@ -109,6 +110,16 @@ def _read_views_scale(entry: Entry, views: Path | None) -> float:
             raise entry[given[0]].fault("stands where no views are", expected)
         return 1.0
     return read_scale(entry, views)
+
+
+def _read_found_as(entry: Entry) -> str:
+    """What parts found in pictures are simulated as."""
+    given = entry.get("as")
+    if given is None:
+        return "solid"
+    if entry.get("parts"):
+        raise given.fault("stands beside parts", 'views or gaussians beside it (a part has its own "as")')
+    return given.choice(("solid", "auto"))
 
 
 def _read_rest(entry: Entry) -> str:

@@ -65,7 +65,8 @@ class Capture:
 
     The object is given by `parts`, or by `gaussians` (a 3DGS .ply, `gaussians_scale` metres per unit of it),
     or by `views` (a folder of dense rest views, `views_scale` metres per unit of its cameras' places); rest:
-    "stress-free", or "equilibrium" when the shape given sags under gravity already.
+    "stress-free", or "equilibrium" when the shape given sags under gravity already; found_as: what parts that
+    are found in pictures are simulated as, "solid" or "auto" (see `Part`).
     """
 
     name: str
@@ -79,6 +80,7 @@ class Capture:
     views: Path | None = None
     views_scale: float = 1.0
     gaussians_scale: float = 1.0
+    found_as: str = "solid"
 
     def sequence(self, name: str) -> Sequence:
         """The sequence called `name`; KeyError, naming those there are, when there is none."""

@@ -44,6 +44,7 @@ def save_capture(capture: Capture, folder: str | Path) -> None:
     if capture.views is not None:
         shape["views"] = _copy(capture.views, folder / "rest_views")
         shape |= {} if capture.views_scale == 1.0 else {"scale": capture.views_scale}
+    shape |= {} if capture.parts or capture.found_as == "solid" else {"as": capture.found_as}
     known: dict[str, object] = {}
     if capture.known.density:
         known["density"] = capture.known.density

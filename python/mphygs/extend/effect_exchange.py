@@ -115,5 +115,5 @@ def _tried(
     compared = experiment.compare(lacking.belief, spacing, jacobian=False)
     step = Step(lacking.belief, lacking, compared, experiment.assess(compared), spacing, current.added)
     window, afar, ranking = ranked_on_window(experiment, step, spacing, generator, names=names, report=report)
-    found = refits_of(experiment, step, window, ranking, spacing, generator, say, afar=afar)
+    found = refits_of(experiment, step, window, ranking, spacing, generator, say, afar=afar, onward=False)
     return found, window[0]

@@ -50,6 +50,12 @@ AS_MUCH = 0.9
 # An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
 # followed.
 HOPELESS = 10.0
+BEHIND = "would stay behind, many times its promise or not"
+
+
+def significant(ranking: Ranking) -> list[RankedEffect]:
+    """Entries that are told from noise, the best first."""
+    return [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > LEAST_DROP]
 
 
 def promising(ranking: Ranking) -> list[RankedEffect]:
@@ -60,7 +66,7 @@ def promising(ranking: Ranking) -> list[RankedEffect]:
     and what would leave nearly all of the misfit, or explains less than an effect that does nothing, is not
     tried.
     """
-    good = [e for e in ranking.entries if e.p_value < SIGNIFICANT and e.statistic > LEAST_DROP]
+    good = significant(ranking)
     if ranking.chi_square < LINEAR**2 * ranking.rows:
         beyond = ranking.chi_square - ranking.rows
         # Smooth decoys do as well as most effects before a refit: they exclude none that is near the best.
@@ -89,29 +95,62 @@ def refits_of(
     say: Callable[[str], None],
     *,
     afar: bool = False,
+    onward: bool = True,
     fates: dict[str, str] | None = None,
 ) -> list[Refit]:
-    """Refits of the promising entries, those that are closest after a few iterations brought to the end.
+    """Refits of the promising entries, those that are closest after a few iterations brought to the end; of
+    the other significant ones where none of these pays: what was promised is no guide then.
 
-    afar: whether the window is seen from materials that were not fitted to it; fates: filled with why effects
-    were not brought to the end.
+    onward: whether the others are asked for; afar: whether the window is seen from materials that were not
+    fitted to it; fates: filled with why effects were not brought to the end.
     """
-    begun: list[Begun] = []
     fates = {} if fates is None else fates
+    entries = promising(ranking)
+    fates |= {e.effect: _unpromising(e) for e in ranking.entries if e not in entries}
+
+    def refits(of: Sequence[RankedEffect], *, all_begun: bool) -> list[Refit]:
+        return _refits(
+            experiment, current, window, ranking, spacing, generator, say, of,
+            afar=afar, fates=fates, all_begun=all_begun,
+        )  # fmt: skip
+
+    found = refits(entries, all_begun=False)
+    if not onward or any(r.pays or r.may_pay for r in found):
+        return found
+    others = [e for e in significant(ranking) if e not in entries or fates[e.effect] == BEHIND][:BEGUN]
+    if others:
+        say(f"none of these pays; now {', '.join(entry.label for entry in others)}")
+        found += refits(others, all_begun=True)
+    return found
+
+
+def _refits(
+    experiment: Experiment,
+    current: Step,
+    window: tuple[float, Solution],
+    ranking: Ranking,
+    spacing: float,
+    generator: np.random.Generator,
+    say: Callable[[str], None],
+    entries: Sequence[RankedEffect],
+    *,
+    afar: bool,
+    fates: dict[str, str],
+    all_begun: bool,
+) -> list[Refit]:
+    """Refits of some entries. all_begun: also of those that others leave far behind."""
+    begun: list[Begun] = []
     # On all frames, and near the data: there the prediction holds, and a few iterations tell who leads.
     near = ranking.chi_square < LINEAR**2 * ranking.rows and window[0] == 1.0
     iterations = FIRST_AFAR if afar else FIRST_NEAR if near else FIRST
     accuracy = ACCURACY_AFAR if afar else ACCURACY
-    entries = promising(ranking)
-    fates |= {e.effect: _unpromising(e) for e in ranking.entries if e not in entries}
     countdown = Countdown(say, "refits begun", len(entries))
     for wave in waves(entries):
         best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
         # From afar no first iteration says how far one leads, and a few frames cost little.
         hopeless = np.inf if afar else HOPELESS * best
-        chosen = [entry for entry in wave if not _far_behind(entry, ranking, begun)]
-        late = [entry for entry in wave if entry not in chosen]
-        fates |= {e.effect: "would stay behind, many times its promise or not" for e in late}
+        chosen = [entry for entry in wave if all_begun or not _far_behind(entry, ranking, begun)]
+        fates |= {entry.effect: BEHIND for entry in wave if entry not in chosen}
 
         def start(twin: Experiment, entry: RankedEffect, hopeless: float = hopeless) -> Solution | None:
             return start_refit(

@@ -65,7 +65,7 @@ def assembled(capture: Capture, stages: Path, *, tracked: bool = True) -> Captur
     stages that cannot be used, and where they contradict the capture.
     """
     files = StageFolder(stages)
-    parts = capture.parts or _parts(files)
+    parts = capture.parts or tuple(replace(part, shape=capture.found_as) for part in _parts(files))
     sequences = tuple(_assembled_sequence(r, files, parts, tracked) for r in capture.sequences)
     whole = replace(capture, parts=parts, sequences=sequences)
     check_capture(whole)

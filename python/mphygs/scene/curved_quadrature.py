@@ -36,8 +36,16 @@ def chosen_shape(part: Part, spacing: float) -> tuple[str, str]:
     """What a part that says "auto" is simulated as, and why, in words.
 
     A cell is made to fit material down to `SMALLEST` of the spacing. What is thinner than that one way is a
-    shell, what is thinner than two cells the other way as well a rod.
+    shell, what is thinner than two cells the other way as well a rod; what cannot be one is a solid still.
     """
+    shape, why = _by_size(part, spacing)
+    if part.shape != "auto" or shape == "solid":
+        return shape, why
+    unfit = _unfit(part, shape, spacing)
+    return (shape, why) if unfit is None else ("solid", f"{why}; but {unfit}")
+
+
+def _by_size(part: Part, spacing: float) -> tuple[str, str]:
     if part.shape != "auto":
         return part.shape, "as its capture says"
     thickness, width, _ = _sizes(part)
@@ -50,6 +58,16 @@ def chosen_shape(part: Part, spacing: float) -> tuple[str, str]:
 
 
 @lru_cache(maxsize=256)
+def _unfit(part: Part, shape: str, spacing: float) -> str | None:
+    """Why a part is no rod or no shell, in words; None where it is."""
+    try:
+        _lay(part, shape, spacing, ())
+    except ValueError as error:
+        return str(error).removeprefix(f"part '{part.name}': ").split(", expected")[0]
+    return None
+
+
+@lru_cache(maxsize=256)
 def _sizes(part: Part) -> tuple[float, float, float]:
     """Thickness, width and length of a thin part [m]: the usual chord, and of the longest way through its
     bounds what its volume leaves for the third one."""
@@ -59,8 +77,9 @@ def _sizes(part: Part) -> tuple[float, float, float]:
 
 
 def cell_count(part: Part, spacing: float) -> float:
-    """Cells of a spacing [m] that a part's material is worth: of its volume, its sheet or its line."""
-    shape = chosen_shape(part, spacing)[0]
+    """Cells of a spacing [m] that a part's material is worth: of its volume, its sheet or its line, as which
+    its size has it."""
+    shape = _by_size(part, spacing)[0]
     if shape == "solid":
         return part.volume / spacing**3
     thickness, _, length = _sizes(part)
@@ -75,8 +94,10 @@ def lay_chart(part: Part, spacing: float, gripped: Sequence[np.ndarray] = ()) ->
     Raises ValueError where the part is not what it is to be simulated as.
     """
     shape = chosen_shape(part, spacing)[0]
-    if shape == "solid":
-        return None
+    return None if shape == "solid" else _lay(part, shape, spacing, gripped)
+
+
+def _lay(part: Part, shape: str, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
     chart = _rod(part, spacing, gripped) if shape == "rod" else _shell(part, spacing, gripped)
     vertices = _finer(part, chart)
     # What the chart left out at its thin ends is brought in: nothing may be beyond the one cell.
