@@ -12,11 +12,12 @@ import pytest
 from mphygs.capture.actuators import Pressure
 from mphygs.capture.format import load_capture
 from mphygs.synth import finite_element_body
+from mphygs.synth.bare_recordings import bare_capture, bare_recording
 from mphygs.synth.brick_mesh import brick_mesh
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.finite_element_drive import Driven
 from mphygs.synth.finite_element_stress import MaterialStress
-from mphygs.synth.make import _bare_capture, _recording, make_capture
+from mphygs.synth.make import make_capture
 from mphygs.synth.recipe import truth_spacing
 from mphygs.synth.shapes import block_flower, flower, two_part_bar
 from synth_example import made, small, tracks
@@ -255,9 +256,9 @@ def test_velocities_are_those_of_the_positions_beside_the_hold_too() -> None:
     fast = replace(recipe.takes[0], motions=(shake,), fps=8000.0, release=0)
     low, high = recipe.shape.hold
     beside = np.array([[high[0] + 0.002, *(0.5 * (low + high))[1:]], recipe.shape.tip])
-    capture = _bare_capture(recipe, Path(), beside)
+    capture = bare_capture(recipe, Path(), beside)
     motion = simulate_finite_element(
-        capture, _recording(recipe, fast, beside), recipe, (), truth_spacing(2.0, recipe.shape.volume)
+        capture, bare_recording(recipe, fast, beside), recipe, (), truth_spacing(2.0, recipe.shape.volume)
     )
     # The shake begins with a jump of its acceleration.
     between = 0.5 * 8000.0 * (motion.position[4:] - motion.position[2:-2])
