@@ -12,7 +12,7 @@ import numpy as np
 from mphygs.capture.format import Capture, load_capture
 from mphygs.capture.stages import StageFolder
 from mphygs.fit.run import Run, load_run
-from mphygs.fit.stage_files import particles_of
+from mphygs.fit.stage_particles import particles_of
 from mphygs.scene.particles import closest_material
 from mphygs.scene.soft_boundary import Particles
 

@@ -22,7 +22,7 @@ from mphygs.capture.views import Photograph
 from mphygs.scene.first_gaussians import gaussians_at
 from mphygs.scene.gaussians import Gaussians
 from mphygs.scene.ply import write_gaussians
-from mphygs.scene.rotation import rotation_matrices
+from mphygs.scene.tensor_rotation import rotation_matrices
 from mphygs.synth.flower.raster import averaged, hits
 
 LENGTH, WIDE, HIGH = 0.1, 0.016, 0.01  # [m], along x, y, z

@@ -10,7 +10,7 @@ import pytest
 from capture_example import FRAMES, Example
 from mphygs.capture.actuators import Force, Pressure, Tendon
 from mphygs.capture.format import load_capture, save_capture
-from mphygs.fit.run import digest_of
+from mphygs.fit.run import capture_digest
 
 COURSES = {
     "force": {"force": 0.01 * np.arange(3 * FRAMES).reshape(FRAMES, 3)},
@@ -45,7 +45,7 @@ def test_each_kind_is_read_and_written(tmp_path: Path) -> None:
     capture = example.load()
     save_capture(capture, tmp_path / "again")
     again = load_capture(tmp_path / "again")
-    assert digest_of(again) == digest_of(capture)
+    assert capture_digest(again) == capture_digest(capture)
     for found in (capture, again):
         sequence = found.sequence("a")
         (constant,) = sequence.loads
@@ -63,12 +63,12 @@ def test_each_kind_is_read_and_written(tmp_path: Path) -> None:
 
 def test_a_digest_tells_of_every_number(tmp_path: Path) -> None:
     example = written(tmp_path, "tendon")
-    digests = [digest_of(example.load())]
+    digests = [capture_digest(example.load())]
     for change in ({"from": 1}, {"unknown": []}, {"anchor": [0.2, 0.0, 0.2]}, {"name": "pull"}):
         example.sequence["loads"][0].update(change)
-        digests.append(digest_of(example.load()))
+        digests.append(capture_digest(example.load()))
     np.savez(tmp_path / "tension.npz", tension=1.01 * COURSES["tension"]["tension"])
-    digests.append(digest_of(example.load()))
+    digests.append(capture_digest(example.load()))
     assert len(set(digests)) == 6
 
 

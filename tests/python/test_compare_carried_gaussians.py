@@ -23,7 +23,7 @@ from mphygs.render.image_metrics import ImageMetrics
 from mphygs.render.splatting import splat
 from mphygs.scene.first_gaussians import gaussians_at
 from mphygs.scene.gaussians import Gaussians
-from mphygs.scene.rotation import rotation_matrices
+from mphygs.scene.tensor_rotation import rotation_matrices
 
 CAMERA = Camera(
     "a", 48, 40, np.array([60.0, 60.0]), np.array([24.0, 20.0]), looking_at((0.3, 0.2, 0.1), (0, 0, 0))

@@ -15,10 +15,11 @@ from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_rota
 from mphygs.capture.stages import StageFolder
 from mphygs.compare.noise import observe
 from mphygs.fit.grouping_prior import LIKE_STD, alikeness, with_grouping
-from mphygs.fit.image_capture import as_one_part, assembled, farthest_first, placement_of
-from mphygs.fit.run import digest_of
-from mphygs.fit.stage_files import particles_of
+from mphygs.fit.image_capture import as_one_part, assembled_capture, placement_of
+from mphygs.fit.run import capture_digest
+from mphygs.fit.stage_particles import particles_of
 from mphygs.fit.start import starting_belief
+from mphygs.motion.control_graph import farthest_first
 from mphygs.scene.soft_boundary import Particles
 from mphygs.simulate.body import Attachment
 
@@ -73,7 +74,7 @@ def written(folder: Path, memory: float = 0.9) -> tuple[Path, np.ndarray]:
 def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Path) -> None:
     folder, rest = written(tmp_path / "stages")
     capture = recorded()
-    whole = assembled(capture, folder)
+    whole = assembled_capture(capture, folder)
     assert [part.name for part in whole.parts] == ["segment-00", "segment-01"]
     assert [part.shape for part in whole.parts] == ["solid", "solid"]
     told = assembled(replace(capture, found_as="auto"), folder)
@@ -84,7 +85,8 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     assert (thin, thick) == pytest.approx((5e-4, 1.5e-4))
     assert as_one_part(whole).parts[0].boundary == thin
     np.savez(path, **dict(np.load(path)), pixel=np.array(1e-5))
-    assert [part.boundary for part in assembled(capture, folder).parts] == pytest.approx([1.5e-6, 1.5e-6])
+    found = [part.boundary for part in assembled_capture(capture, folder).parts]
+    assert found == pytest.approx([1.5e-6, 1.5e-6])
     sequence = whole.sequences[0]
     assert sequence.turn == pytest.approx(matrix_from_quaternion(TURN))
     rotation, position = sequence.held[0].poses(np.array([0.0]), 50.0)
@@ -96,8 +98,8 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     raw = np.load(StageFolder(folder).tracks("lift"))["position"]
     index = [int(np.flatnonzero((rest == at).all(1))[0]) for at in markers.at]
     assert np.nanmax(np.abs(placement.to_world(markers.position) - raw[:, index])) < 1e-12
-    assert digest_of(assembled(capture, folder)) == digest_of(whole)
-    assert digest_of(assembled(capture, folder, tracked=False)) != digest_of(whole)
+    assert capture_digest(assembled_capture(capture, folder)) == capture_digest(whole)
+    assert capture_digest(assembled_capture(capture, folder, tracked=False)) != capture_digest(whole)
 
 
 def test_what_pulls_along_the_worlds_axes_turns_with_the_frame(tmp_path: Path) -> None:
@@ -110,7 +112,7 @@ def test_what_pulls_along_the_worlds_axes_turns_with_the_frame(tmp_path: Path) -
     pressure = Pressure(np.ones(FRAMES), "blow", box=box)
     acts = {"loads": (load,), "actuators": (pulls, tendon, pressure)}
     before = replace(capture, sequences=(replace(capture.sequences[0], **acts),))
-    sequence = assembled(before, folder).sequences[0]
+    sequence = assembled_capture(before, folder).sequences[0]
     placement = placement_of(capture.sequences[0], folder)
     turned = placement.rotation.T @ force
     assert not np.allclose(turned, force)
@@ -123,7 +125,7 @@ def test_what_pulls_along_the_worlds_axes_turns_with_the_frame(tmp_path: Path) -
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_tracks_on_what_is_held_tell_how_long_errors_last(tmp_path: Path, memory: float) -> None:
     folder, _ = written(tmp_path / "stages", memory)
-    sequence = assembled(recorded(), folder).sequences[0]
+    sequence = assembled_capture(recorded(), folder).sequences[0]
     markers = sequence.markers
     assert markers.memory * markers.lasting == pytest.approx(memory, abs=0.1)
     count = len(sequence.markers.at)
@@ -142,12 +144,12 @@ def test_tracks_worse_than_they_say_are_trusted_less(tmp_path: Path) -> None:
     path = StageFolder(folder).tracks("lift")
     arrays = dict(np.load(path))
     np.savez(path, **arrays | {"sigma": np.array(SIGMA / 4)})
-    assert assembled(recorded(), folder).sequences[0].markers.sigma == pytest.approx(SIGMA, rel=0.2)
+    assert assembled_capture(recorded(), folder).sequences[0].markers.sigma == pytest.approx(SIGMA, rel=0.2)
 
 
 def test_farthest_first_covers() -> None:
     points = np.random.default_rng(0).uniform(size=(500, 3))
-    chosen = farthest_first(points, 60)
+    chosen = farthest_first(points, 60, from_middle=True)
     assert len(set(chosen)) == 60
     gaps = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(1)
     assert gaps.max() < 0.3
@@ -155,7 +157,7 @@ def test_farthest_first_covers() -> None:
 
 def test_one_part_has_all_the_material(tmp_path: Path) -> None:
     folder, _ = written(tmp_path / "stages")
-    whole = assembled(recorded(), folder)
+    whole = assembled_capture(recorded(), folder)
     one = as_one_part(whole)
     assert one.parts[0].volume == pytest.approx(sum(part.volume for part in whole.parts))
     assert one.known.mass == whole.known.mass and len(one.parts) == 1
@@ -179,7 +181,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, change, words: str)
     folder, _ = written(tmp_path / "stages")
     change(StageFolder(folder))
     with pytest.raises(CaptureError, match=words) as caught:
-        assembled(recorded(), folder)
+        assembled_capture(recorded(), folder)
     assert "\n" not in str(caught.value)
 
 
@@ -197,7 +199,8 @@ def test_a_hold_that_was_found_serves_where_none_is_given(tmp_path: Path) -> Non
     path.parent.mkdir(parents=True)
     np.savez(path, position=hold.position, quaternion=hold.quaternion, box=hold.box)
     bare = replace(capture, sequences=(replace(capture.sequences[0], held=()),))
-    assert digest_of(assembled(bare, folder)) == digest_of(assembled(capture, folder))
+    bare_digest, digest = (capture_digest(assembled_capture(one, folder)) for one in (bare, capture))
+    assert bare_digest == digest
 
 
 def test_segments_that_look_alike_are_held_together_and_others_are_not() -> None:

@@ -149,6 +149,28 @@ def test_finds_what_belongs_to_the_command_line(source: str, expected: list[str]
     assert command_line(source) == expected
 
 
+# All alike: a command's entry, a baseline's fit, motion and first weights, what errors a layer raises.
+ALIKE = {"main", "fit", "maker", "starting_weights", "errors.py"}
+
+
+def test_one_name_means_one_thing() -> None:
+    files: dict[str, list[str]] = {}
+    names: dict[str, list[str]] = {}
+    for path in modules():
+        place = str(path.relative_to(ROOT))
+        # What python -m runs is named after the command, the interface after what it calls.
+        if layer_of(path) == ENTRY or path.stem == "__init__":
+            continue
+        files.setdefault(path.name, []).append(place)
+        if layer_of(path) == "api":
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+                names.setdefault(node.name, []).append(place)
+    found = {**files, **names}
+    assert not {name: where for name, where in found.items() if len(where) > 1 and name not in ALIKE}
+
+
 def test_what_python_runs_calls_a_command_and_nothing_else() -> None:
     shape = re.compile(
         r"import sys\nfrom mphygs\.commands\.(\w+) import main\n"

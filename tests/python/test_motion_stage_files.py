@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mphygs.capture.errors import CaptureError
-from mphygs.motion.stage_files import read_hold, read_registered, read_tracks
+from mphygs.motion.stage_files import read_registered, read_stage_hold, read_tracks
 
 FRAMES, COUNT = 4, 5
 TURN = np.array([1.0, 0.0, 0.0, 0.0])
@@ -83,9 +83,9 @@ def test_holds_are_checked(tmp_path: Path) -> None:
         "box": np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]),
     }  # fmt: skip
     np.savez(path, **good)
-    assert read_hold(path, frames=FRAMES).box[1] == pytest.approx(1.0)
+    assert read_stage_hold(path, frames=FRAMES).box[1] == pytest.approx(1.0)
     with pytest.raises(CaptureError, match="position: has 4 frames; expected 9, as the sequence"):
-        read_hold(path, frames=9)
+        read_stage_hold(path, frames=9)
     np.savez(path, **{**good, "box": good["box"][::-1]})
     with pytest.raises(CaptureError, match=r"box: is .*; expected \[lower corner, upper corner\]"):
-        read_hold(path, frames=FRAMES)
+        read_stage_hold(path, frames=FRAMES)

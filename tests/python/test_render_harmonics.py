@@ -8,7 +8,7 @@ import torch
 from gaussian_example import gaussians
 from mphygs.render.harmonics import harmonic_basis, seen_colours
 from mphygs.scene.gaussians import colour_of_harmonics, harmonics_of_colour
-from mphygs.scene.rotation import rotation_matrices
+from mphygs.scene.tensor_rotation import rotation_matrices
 
 
 def test_orthonormal_on_the_sphere() -> None:

@@ -9,7 +9,7 @@ import torch
 from gaussian_example import gaussians
 from mphygs.capture.rotation import matrix_from_rotation_vector, quaternion_from_matrix
 from mphygs.scene.driving import bind, driven
-from mphygs.scene.rotation import (
+from mphygs.scene.tensor_rotation import (
     polar_rotation,
     quaternion_product,
     quaternions_of_rotations,

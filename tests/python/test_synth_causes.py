@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from mphygs.synth.causes import CAUSES, Material
+from mphygs.synth.causes import CAUSES, MaterialState
 from synth_example import SIGMA, made, tracks
 
 
-def material(count: int = 6, seed: int = 0, **changes: object) -> Material:
+def material(count: int = 6, seed: int = 0, **changes: object) -> MaterialState:
     generator = np.random.default_rng(seed)
     values = {
         "reference": generator.standard_normal((count, 3)),
@@ -19,7 +19,7 @@ def material(count: int = 6, seed: int = 0, **changes: object) -> Material:
         "inside": np.arange(count) % 2 == 0,
         "time": 0.3,
     }
-    return Material(**(values | changes))
+    return MaterialState(**(values | changes))
 
 
 def test_cubic_drag_is_minus_c_speed_cubed() -> None:

@@ -294,7 +294,7 @@ def test_both_simulators_move_a_flower_that_carries_its_weight(tmp_path) -> None
 
 
 def test_a_node_on_a_wall_sticks_up_to_mu_times_what_presses_on_it() -> None:
-    body = object.__new__(finite_element_body.Body)
+    body = object.__new__(finite_element_body.FiniteElementBody)
     wall = {"d": 0.0, "n_x": 0.0, "n_y": 0.0, "n_z": 1.0, "mu": 0.5, "stiffness": 1e6}
     body.effects, body.mass = {"contact": wall}, np.full(4, 1e-3)
     body.mesh = SimpleNamespace(surface_area=np.full(4, 1e-4))

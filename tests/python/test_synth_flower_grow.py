@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from mphygs.capture.meshes import read_mesh, write_mesh
+from mphygs.capture.meshes import enclosed_volume, read_mesh, write_mesh
 from mphygs.capture.overlap import winding_number
 from mphygs.scene.particles import fill
 from mphygs.synth.flower import SPECIES, grow
 from mphygs.synth.flower.catalogue import species
-from mphygs.synth.flower.textured_surface import enclosed_volume
 
 
 def triangles(part) -> set[tuple]:

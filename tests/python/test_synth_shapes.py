@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mphygs.synth.shapes import SHAPES, flower, leaf, polygon, prism, rectangle, shape
+from mphygs.synth.shapes import SHAPES, flower, leaf_polygon, polygon, prism, rectangle, shape
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -21,7 +21,7 @@ def test_volume_of_a_prism_is_area_times_length() -> None:
         assert prism("p", rectangle(2.0, 3.0), axis, 1.0, 5.0).volume == pytest.approx(24.0)
     octagon = 8.0 * np.tan(np.pi / 8.0)
     assert prism("p", polygon(1.0, 8), 2, 0.0, 1.0).volume == pytest.approx(octagon)
-    assert prism("p", leaf(0.0, 1.0, 0.2, 0.1, -1), 2, 0.0, 1.0).volume > 0.0
+    assert prism("p", leaf_polygon(0.0, 1.0, 0.2, 0.1, -1), 2, 0.0, 1.0).volume > 0.0
 
 
 @pytest.mark.parametrize("kind", ["two-part-bar", "flower", "hanging-flower"])

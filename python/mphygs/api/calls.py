@@ -18,7 +18,7 @@ from mphygs.commands.claim import claim, claim_capture
 from mphygs.commands.command import working
 from mphygs.commands.console import Console
 from mphygs.commands.options import CommonOptions
-from mphygs.fit.run import digest_of
+from mphygs.fit.run import capture_digest
 
 # Told the share of the work that is done, 0 to 1, and a line.
 Progress = Callable[[float, str], None]
@@ -142,4 +142,4 @@ def is_kept(capture: Capture) -> bool:
         )
         for c in (kept, capture)
     ]
-    return views[0] == views[1] and digest_of(kept) == digest_of(capture)
+    return views[0] == views[1] and capture_digest(kept) == capture_digest(capture)

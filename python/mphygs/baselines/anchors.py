@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from mphygs.capture.record import Sequence as Recording
-from mphygs.fit.image_capture import farthest_first
+from mphygs.motion.control_graph import farthest_first
 from mphygs.simulate.body import Body
 
 # Fewest anchors of a hold, and anchors that a point follows.
@@ -37,11 +37,12 @@ class Anchors:
             gripped = body.attach(gripped).anchor
         places = np.concatenate([points, gripped])
         hold = np.concatenate([np.full(len(points), -1), owner[held]])
-        chosen = set(farthest_first(places, min(count, len(places))).tolist())
+        chosen = set(farthest_first(places, min(count, len(places)), from_middle=True).tolist())
         for h in range(len(body.boxes)):
             face = np.flatnonzero(hold == h)
             if len(face) and sum(hold[k] == h for k in chosen) < HELD:
-                chosen |= set(face[farthest_first(places[face], min(HELD, len(face)))].tolist())
+                spread = farthest_first(places[face], min(HELD, len(face)), from_middle=True)
+                chosen |= set(face[spread].tolist())
         index = np.array(sorted(chosen))
         _, first = np.unique(places[index].round(9), axis=0, return_index=True)
         index = index[np.sort(first)]

@@ -27,7 +27,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import pictured_of
-from mphygs.fit.run import TRAINED, Run, digest_of
+from mphygs.fit.run import TRAINED, Run, capture_digest
 from mphygs.model.belief import Belief
 from mphygs.simulate.batches import Owned
 from mphygs.simulate.body import Body
@@ -141,7 +141,7 @@ def maker(run: Run) -> Maker:
     def make(
         capture: Capture, recording: Recording, settings: Settings, *, body: Body | None = None
     ) -> FieldPredictor:
-        own = told and digest_of(capture) == run.digest
+        own = told and capture_digest(capture) == run.digest
         known = found if own else {key: found[key] for key in found if key not in velocities}
         return FieldPredictor(known, capture, recording, settings, body=body)
 
@@ -151,9 +151,9 @@ def maker(run: Run) -> Maker:
 def starting_weights(seed: int, sequences: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """Weights by name of a field of E that is the same everywhere, and of no velocity in sequences."""
     generator = np.random.default_rng(seed)
-    out = triplane.starting_weights(1, generator) | {"level": np.zeros(1)}
+    out = triplane.flat_weights(1, generator) | {"level": np.zeros(1)}
     for name in sequences:
-        own = triplane.starting_weights(3, generator)
+        own = triplane.flat_weights(3, generator)
         out |= {f"velocity.{name}.{weight}": value for weight, value in own.items()}
     return out
 
@@ -183,6 +183,6 @@ def roughness(values: Mapping[str, np.ndarray]) -> tuple[float, Values]:
     for key, value in values.items():
         if key.rpartition(".")[2] == "planes":
             share = VARIATION if key == "planes" else VELOCITY_VARIATION
-            rough, slope = triplane.roughness(value)
+            rough, slope = triplane.total_variation(value)
             cost, slopes[key] = cost + share * rough, share * slope
     return cost, slopes

@@ -18,12 +18,12 @@ from torch import Tensor
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import HISTORY, SHAPES, Graph, starting_weights
 from mphygs.baselines.mover import Mover, start_of
-from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
+from mphygs.baselines.training import Progress, TrainingPlan, Values, taken, train, trained_values
 from mphygs.baselines.weights import as_tensors
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.image_capture import farthest_first
 from mphygs.fit.run import TRAINED, Run
 from mphygs.model.belief import Belief
+from mphygs.motion.control_graph import farthest_first
 from mphygs.simulate.measurement import lateness
 from mphygs.simulate.prediction import Maker, Predictor
 from mphygs.simulate.timeline import Timeline
@@ -118,7 +118,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
             )
     anchors = nodes_of(first)
     shown = [
-        shown_of(experiment, problem.predictors[n], run.belief, anchors, problem.ranges[n]) for n in names
+        node_tracks(experiment, problem.predictors[n], run.belief, anchors, problem.ranges[n]) for n in names
     ]
     move = np.sqrt(np.mean(np.concatenate([np.diff(s.track.numpy(), axis=0).ravel() ** 2 for s in shown])))
     move = max(float(move), 1e-9)
@@ -141,7 +141,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
         "nodes": anchors.rest, "held": (~anchors.free).astype(float), "move": np.array([move]),
         "fps": np.array([first.recording.fps]),
     }  # fmt: skip
-    plan = Plan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, best=False)
+    plan = TrainingPlan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, best=False)
     begun = starting_weights(np.random.default_rng([run.seed, 0]))
     run = train(run, lambda: begun, measure, plan, constants, progress, name="graph")
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))
@@ -153,14 +153,14 @@ def nodes_of(predictor: Predictor) -> Anchors:
     places = (attachment.anchor + attachment.offset)[attachment.hold < 0]
     if not len(places):
         raise ValueError(f"sequence '{predictor.recording.name}': no marker moves; expected some that do")
-    chosen = places[farthest_first(places, min(NODES, len(places)))]
+    chosen = places[farthest_first(places, min(NODES, len(places)), from_middle=True)]
     gripped = Anchors.of(predictor.body, 1)
     rest = np.concatenate([chosen, gripped.rest[~gripped.free]])
     hold = np.concatenate([np.full(len(chosen), -1), gripped.hold[~gripped.free]])
     return Anchors(rest, hold)
 
 
-def shown_of(
+def node_tracks(
     experiment: Experiment, predictor: Predictor, belief: Belief, nodes: Anchors, span: tuple[int, int]
 ) -> Shown:
     """The nodes' tracks in the fitted frames, gaps bridged. Raises ValueError for fewer than two frames."""

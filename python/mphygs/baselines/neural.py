@@ -25,7 +25,7 @@ from mphygs.baselines.residual_network import (
     acceleration,
     starting_weights,
 )
-from mphygs.baselines.training import Plan, Progress, Values, taken, train, trained_values
+from mphygs.baselines.training import Progress, TrainingPlan, Values, taken, train, trained_values
 from mphygs.baselines.weights import as_tensors
 from mphygs.fit.checkpointed import fit_run
 from mphygs.fit.experiment import Experiment
@@ -166,7 +166,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
         size = sum(float(np.sum(values[name] ** 2)) for name in NAMES)
         return cost / rows + 0.5 * DECAY * size, {n: g + DECAY * values[n] for n, g in slopes.items()}
 
-    plan = Plan(
+    plan = TrainingPlan(
         dict.fromkeys(NAMES, RATE), STAGES, ITERATIONS,
         begins=tuple((k + 1) * ITERATIONS for k in range(len(GROWING))),
     )  # fmt: skip

@@ -17,11 +17,11 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from mphygs.baselines.training import Plan, Progress, Values, train, trained_values
+from mphygs.baselines.training import Progress, TrainingPlan, Values, train, trained_values
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.of_run import pictured_of
 from mphygs.fit.run import Run
-from mphygs.fit.stage_files import particles_of
+from mphygs.fit.stage_particles import particles_of
 from mphygs.model.belief import Belief
 from mphygs.scene.gaussians import CONSTANT_HARMONIC
 
@@ -86,7 +86,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress, examples: Callable
         cost.backward()
         return float(cost.detach()), {n: w.grad.numpy().astype(float) for n, w in weights.items()}
 
-    plan = Plan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, best=False)
+    plan = TrainingPlan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, best=False)
     run = train(run, lambda: start, measure, plan, {"low": low, "high": high}, progress, name="prior")
     gaussians = pictured.drawn.gaussians
     up = -np.asarray(experiment.capture.gravity, float)

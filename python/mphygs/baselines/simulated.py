@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mphygs.baselines.mover import Learned
-from mphygs.baselines.targets import Target, Tracks
-from mphygs.baselines.training import Plan, Progress, Values, begun_at, train
+from mphygs.baselines.targets import Target, TrackTarget
+from mphygs.baselines.training import Progress, TrainingPlan, Values, begun_at, train
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
@@ -54,7 +54,7 @@ def weightless(belief: Belief) -> Belief:
 @dataclass(frozen=True)
 class Fitting:
     """How a baseline is fitted. name: in what is told; begun: its numbers at a power of ten times the usual
-    stiffness; rates, stages, iterations: of `Plan`; penalty: what numbers themselves cost, with slopes;
+    stiffness; rates, stages, iterations: of `TrainingPlan`; penalty: what numbers cost, with slopes;
     opening: names of the numbers that alone are fitted in the first stage, none for all of them; pictures:
     whether costs are those of pictures."""
 
@@ -76,7 +76,7 @@ def tracked(run: Run, experiment: Experiment, make: Maker) -> tuple[dict[str, Si
     movers = {
         name: make(p.capture, p.recording, p.settings, body=p.body) for name, p in predictors.items()
     }
-    return movers, {name: Tracks(problem.observations[name]) for name in movers}
+    return movers, {name: TrackTarget(problem.observations[name]) for name in movers}
 
 
 def fit_simulated(
@@ -118,6 +118,6 @@ def fit_simulated(
         return begun_at(how.begun, lambda v: measure(v, whole, slopes=False)[0], progress, **told)
 
     begins = tuple((k + 1) * how.iterations for k in range(len(GROWING)))
-    plan = Plan(how.rates, how.stages, how.iterations, begins=begins, pictures=how.pictures)
+    plan = TrainingPlan(how.rates, how.stages, how.iterations, begins=begins, pictures=how.pictures)
     run = train(run, start, measure, plan, constants, progress, name=how.name)
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))

@@ -16,7 +16,7 @@ import numpy as np
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.mover import Mover, start_of
 from mphygs.baselines.spring_system import SPRINGS, Course, SpringRun, Springs
-from mphygs.baselines.training import Plan, Progress, Values, begun_at, taken, train, trained_values
+from mphygs.baselines.training import Progress, TrainingPlan, Values, begun_at, taken, train, trained_values
 from mphygs.capture.format import Capture
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.gradient_optimisers import Misfit
@@ -147,7 +147,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
 
         return begun_at(values_at, lambda v: measure(v, 0, slopes=False)[0], progress, name="springs")
 
-    plan = Plan(RATES, STAGES, ITERATIONS)
+    plan = TrainingPlan(RATES, STAGES, ITERATIONS)
     run = train(run, start, measure, plan, constants, progress, name="springs")
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))
 

@@ -34,7 +34,7 @@ class Target(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Tracks(Target):
+class TrackTarget(Target):
     """Markers, or tracks, over their noise; positions are theirs."""
 
     observation: Observation

@@ -33,7 +33,7 @@ Measure = Callable[[Mapping[str, np.ndarray], int], tuple[float, Values]]
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrainingPlan:
     """rates: longest step of each of the numbers by name; stages of so many iterations each; best: the values
     of least cost are kept, else the last (where every cost is of another sample); begins: iterations from
     which costs are of more frames than before, so that older ones say nothing; pictures: whether costs are
@@ -89,7 +89,7 @@ class Trained:
 
 
 def train(
-    run: Run, start: Callable[[], Mapping[str, np.ndarray]], measure: Measure, plan: Plan,
+    run: Run, start: Callable[[], Mapping[str, np.ndarray]], measure: Measure, plan: TrainingPlan,
     constants: Mapping[str, np.ndarray], progress: Progress, *, name: str,
 ) -> Run:  # fmt: skip
     """The stages that a run has not had yet; the folder is written after each of them.
@@ -127,7 +127,7 @@ def _one(
     state: Trained,
     start: Callable[[], Mapping[str, np.ndarray]],
     measure: Measure,
-    plan: Plan,
+    plan: TrainingPlan,
     number: int,
     total: int,
 ) -> None:
@@ -151,7 +151,7 @@ def begun_at(
     name: str, pictures: bool = False,
 ) -> Values:  # fmt: skip
     """Values of the stiffness that costs least of a few. values_at: of a power of ten times the usual one;
-    pictures: as of `Plan`.
+    pictures: as of `TrainingPlan`.
 
     Raises SimulationError where none can be run.
     """
@@ -208,7 +208,7 @@ def _unfinished(folder: Path) -> str:
     return f"{folder}: is not complete; expected a finished run (fit --out {folder} --resume)"
 
 
-def _with_history(run: Run, state: Trained, plan: Plan, name: str) -> Run:
+def _with_history(run: Run, state: Trained, plan: TrainingPlan, name: str) -> Run:
     """The run with a record of every stage done; those of this training are told by the file of numbers."""
     own = [record for record in run.history if not record.name.startswith(f"{name} ")]
     for k, seconds in enumerate(state.seconds):

@@ -28,7 +28,7 @@ def shapes(outputs: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-def starting_weights(outputs: int, generator: np.random.Generator) -> dict[str, np.ndarray]:
+def flat_weights(outputs: int, generator: np.random.Generator) -> dict[str, np.ndarray]:
     """Weights of a field that is zero everywhere."""
     out = {name: np.zeros(shape) for name, shape in shapes(outputs).items()}
     out["planes"] = 0.1 * generator.standard_normal(out["planes"].shape)
@@ -47,7 +47,7 @@ def field_at(weights: Mapping[str, Tensor], points: Tensor, box: np.ndarray) -> 
     return hidden @ weights["weight1"].T
 
 
-def roughness(planes: np.ndarray) -> tuple[float, np.ndarray]:
+def total_variation(planes: np.ndarray) -> tuple[float, np.ndarray]:
     """Total variation of planes, a mean over their points, and its derivative by them."""
     own = torch.as_tensor(planes, dtype=torch.float32).clone().requires_grad_()
     rough = (own[..., 1:, :] - own[..., :-1, :]).abs().mean() + (own[..., 1:] - own[..., :-1]).abs().mean()

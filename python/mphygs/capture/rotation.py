@@ -1,6 +1,6 @@
 """Rotations: the one place where quaternions (w, x, y, z), matrices and rotation vectors are converted.
 
-Those that are differentiated in torch: scene/rotation.py.
+Those that are differentiated in torch: scene/tensor_rotation.py.
 """
 
 from __future__ import annotations

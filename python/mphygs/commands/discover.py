@@ -42,7 +42,7 @@ from mphygs.extend.step import FAULT, Step
 from mphygs.extend.steps import run_at, step_at, steps_text
 from mphygs.fit.countdown import duration
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.image_capture import assembled
+from mphygs.fit.image_capture import assembled_capture
 from mphygs.fit.of_run import experiment_of
 from mphygs.fit.run import Run
 from mphygs.fit.spacings import screening_spacing
@@ -109,7 +109,7 @@ def discover_command(options: DiscoverOptions, console: Console) -> Answer:
         given["stages"] = options.stages or out
         console.resume = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(out))}"
         run_stages(seen, options.capture, given["stages"], console)
-        seen = assembled(seen, given["stages"] / STAGES)
+        seen = assembled_capture(seen, given["stages"] / STAGES)
         # the loop judges by tracks: a belief between them and the pictures is no minimum of theirs
         given["without"] = "l2d"
     screening = options.spacing is None and seen is not None
@@ -160,7 +160,7 @@ def discover_command(options: DiscoverOptions, console: Console) -> Answer:
     for k, step in enumerate(found.steps):
         if step.spacing != done.states[k]["spacing"] or k == len(found.steps) - 1:
             done.tell(step, experiment, k)
-    answer = conclude(out, options, state, experiment, found, done, console)
+    answer = write_conclusion(out, options, state, experiment, found, done, console)
     _keep(out, done, experiment, options, answer)
     return Answer(answer, _text(answer, state.capture))
 
@@ -215,7 +215,7 @@ def _keep(
     write_record(out / DOCUMENT, plain(document | dict(answer or {})))
 
 
-def conclude(
+def write_conclusion(
     out: Path,
     options: DiscoverOptions,
     state: Run,

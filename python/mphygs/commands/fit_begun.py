@@ -17,12 +17,12 @@ from mphygs.commands.in_use import hold
 from mphygs.commands.options import OptionError, split_names
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.first_frames import starts_text
-from mphygs.fit.image_capture import as_one_part, assembled
+from mphygs.fit.image_capture import as_one_part, assembled_capture
 from mphygs.fit.marker_label_repair import well_labelled
 from mphygs.fit.of_run import HOMOGENEOUS, baseline_of
 from mphygs.fit.pictured_run import pictured_belief
 from mphygs.fit.placement import with_placed_effect
-from mphygs.fit.run import Run, digest_of, folder_name, is_run, load_run
+from mphygs.fit.run import Run, capture_digest, folder_name, is_run, load_run
 from mphygs.fit.spacings import check_spacing, default_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.substances import substances_by_part
@@ -102,7 +102,7 @@ def begun(options: FitOptions, console: Console) -> tuple[Run, Capture]:
     if options.plugin is not None:
         given["plugin"] = str(options.plugin.resolve())
     state = Run(
-        folder=out, options=given, seed=options.seed, capture=path, digest=digest_of(capture),
+        folder=out, options=given, seed=options.seed, capture=path, digest=capture_digest(capture),
         settings=settings, ranges=dict(experiment.fitted),
         start=belief, belief=belief, stages=stages,
     )  # fmt: skip
@@ -149,7 +149,7 @@ def _assembled_from_stages(
     again = f"{PROGRAM} {shlex.quote(str(options.capture))} --out {shlex.quote(str(out))}"
     console.resume = again + (f" --stages {shlex.quote(str(home))}" if options.stages else "")
     run_stages(capture, options.capture, home, console)
-    whole = assembled(capture, home / STAGES)
+    whole = assembled_capture(capture, home / STAGES)
     return home / STAGES, as_one_part(whole) if options.baseline == HOMOGENEOUS else whole
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mphygs.scene.driving import Binding, bind, driven
 from mphygs.scene.gaussians import Gaussians
-from mphygs.scene.rotation import polar_rotation
+from mphygs.scene.tensor_rotation import polar_rotation
 
 # Particles that carry the Gaussians, about, and neighbours that tell how each one turns.
 CARRIER_COUNT, NEIGHBOURS = 1500, 12

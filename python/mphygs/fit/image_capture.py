@@ -23,8 +23,9 @@ from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import matrix_from_quaternion, quaternion_from_matrix
 from mphygs.capture.stages import StageFolder
 from mphygs.fit.boundary_share import found_boundary
-from mphygs.fit.stage_files import particles_of
-from mphygs.motion.stage_files import Tracks, read_hold, read_tracks
+from mphygs.fit.stage_particles import particles_of
+from mphygs.motion.control_graph import farthest_first
+from mphygs.motion.stage_files import Tracks, read_stage_hold, read_tracks
 from mphygs.scene.object_files import read_parts
 
 TRACK_COUNT = 250
@@ -58,7 +59,7 @@ def is_pictured(capture: Capture) -> bool:
     return not capture.parts and (capture.views is not None or capture.gaussians is not None)
 
 
-def assembled(capture: Capture, stages: Path, *, tracked: bool = True) -> Capture:
+def assembled_capture(capture: Capture, stages: Path, *, tracked: bool = True) -> Capture:
     """The capture with parts, holds and tracks of its stages. tracked: False leaves the tracks out.
 
     Sequences without a hold, or without tracks, stay without. Raises CaptureError, one line, for files of
@@ -116,7 +117,7 @@ def _held(recording: Recording, files: StageFolder) -> tuple[Hold, ...]:
     path = files.hold(recording.name)
     if recording.held or not path.is_file():
         return recording.held
-    return (read_hold(path, frames=recording.frames),)
+    return (read_stage_hold(path, frames=recording.frames),)
 
 
 def _acting_from_frame(actuator: Actuator, placement: Placement) -> Actuator:
@@ -178,7 +179,7 @@ def _chosen(path: Path, recording: Recording, tracks: Tracks, size: float) -> Tr
         share = f"{100 * LEAST_SEEN:.0f} %"
         raise fault(str(path), f"has {int(good.sum())} tracks seen in {share} of the frames", "at least 3")
     number = np.flatnonzero(good)
-    order = farthest_first(tracks.rest[number], min(TRACK_COUNT, len(number)))
+    order = farthest_first(tracks.rest[number], min(TRACK_COUNT, len(number)), from_middle=True)
     number = np.sort(number[order])
     away = np.nanmedian(np.linalg.norm(tracks.position[0, number] - tracks.rest[number], axis=1))
     if away > 0.5 * size:
@@ -186,16 +187,6 @@ def _chosen(path: Path, recording: Recording, tracks: Tracks, size: float) -> Tr
             f"{path}: position", f"begins {away:.3g} m from rest", "points in m in the object's frame"
         )
     return Tracks(tracks.rest[number], tracks.position[:, number], tracks.sigma[number])
-
-
-def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
-    """(count,) indices of points (N, 3), each the farthest from those before, from the middle on."""
-    chosen = [int(np.linalg.norm(points - points.mean(0), axis=1).argmin())]
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)
 
 
 def _markers(recording: Recording, tracks: Tracks) -> Markers:

@@ -13,9 +13,9 @@ from mphygs.capture.format import Capture, load_capture
 from mphygs.compare.assess import Compared
 from mphygs.compare.metrics import sequence_errors
 from mphygs.fit.experiment import Experiment
-from mphygs.fit.image_capture import as_one_part, assembled
+from mphygs.fit.image_capture import as_one_part, assembled_capture
 from mphygs.fit.marker_label_repair import well_labelled
-from mphygs.fit.run import DOCUMENT, Run, digest_of
+from mphygs.fit.run import DOCUMENT, Run, capture_digest
 from mphygs.fit.spacings import check_spacing
 from mphygs.fit.start import starting_belief
 from mphygs.model.belief import Belief
@@ -32,7 +32,7 @@ HOMOGENEOUS = "homogeneous"
 def capture_of(run: Run) -> Capture:
     """The capture that a run was fitted to. Raises ValueError when it is no longer what was fitted."""
     capture = _as_fitted(well_labelled(load_capture(run.capture)), run)
-    if digest_of(capture) != run.digest:
+    if capture_digest(capture) != run.digest:
         raise ValueError(
             f"{run.capture}: has changed since {run.folder} was fitted; expected the same capture"
         )
@@ -51,7 +51,7 @@ def _as_fitted(capture: Capture, run: Run, *, tracked: bool = True) -> Capture:
     """A capture with what the stages of a run found of the object, where the run has stages, and with the
     parts that the run has."""
     if run.stages is not None:
-        capture = assembled(capture, run.stages, tracked=tracked)
+        capture = assembled_capture(capture, run.stages, tracked=tracked)
     return as_one_part(capture) if baseline_of(run) == HOMOGENEOUS else capture
 
 

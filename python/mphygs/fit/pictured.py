@@ -25,7 +25,7 @@ from mphygs.compare.carried_gaussians import CarriedGaussians
 from mphygs.compare.image_errors import ComparedFrame, Film, frame_metrics, frames_of, range_errors
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.image_capture import Placement, placement_of
-from mphygs.fit.stage_files import particles_of
+from mphygs.fit.stage_particles import particles_of
 from mphygs.model.belief import Belief
 from mphygs.render.image_metrics import ImageMetrics
 from mphygs.render.splatting import splat

@@ -19,7 +19,7 @@ from mphygs.fit.grouping_prior import with_grouping
 from mphygs.fit.levenberg_marquardt import Solution, covariance
 from mphygs.fit.of_run import pictured_of
 from mphygs.fit.run import Run, StageRecord
-from mphygs.fit.stage_files import particles_of
+from mphygs.fit.stage_particles import particles_of
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
 

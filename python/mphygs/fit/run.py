@@ -164,7 +164,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def digest_of(capture: Capture) -> str:
+def capture_digest(capture: Capture) -> str:
     """A hash of everything in a capture that a fit depends on."""
     hashed = hashlib.sha256()
 

@@ -16,7 +16,7 @@ from mphygs.motion.control_graph import CARRIERS, ControlGraph, Pose
 from mphygs.motion.sight import Sight, SightRule, sight_of
 from mphygs.motion.stiffness import Stiffness, disagreements, turn_and_shift
 from mphygs.scene.gaussians import Gaussians
-from mphygs.scene.rotation import quaternion_product
+from mphygs.scene.tensor_rotation import quaternion_product
 
 _SOFTNESS = (0.06, 0.1, 0.14, 0.2, 0.28, 0.4)  # [px^2], that are tried
 

@@ -143,10 +143,12 @@ def control_graph(points: np.ndarray, *, count: int, seeds: np.ndarray | None = 
     return ControlGraph(nodes, points, carriers, weights, edges, float(edge_length.mean()))
 
 
-def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
-    """Indices (count,) of points, each the farthest from those before it; the first the farthest out."""
+def farthest_first(points: np.ndarray, count: int, *, from_middle: bool = False) -> np.ndarray:
+    """Indices (count,) of points, each the farthest from those before it; the first the farthest out, or the
+    nearest to the middle."""
+    out = np.linalg.norm(points - points.mean(axis=0), axis=1)
     chosen = np.zeros(count, dtype=np.int64)
-    chosen[0] = int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))
+    chosen[0] = int(np.argmin(out) if from_middle else np.argmax(out))
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)
     for k in range(1, count):
         chosen[k] = int(np.argmax(distance))

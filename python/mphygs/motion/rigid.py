@@ -21,7 +21,7 @@ from mphygs.render.picture import Optics
 from mphygs.render.splatting import splat
 from mphygs.scene.agreement import triangulate
 from mphygs.scene.gaussians import Gaussians
-from mphygs.scene.rotation import quaternion_product
+from mphygs.scene.tensor_rotation import quaternion_product
 
 _TRIPLES = 500  # most that are tried
 _FAR = 3.0  # times the usual distance; what is farther off does not count

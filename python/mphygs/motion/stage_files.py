@@ -81,7 +81,7 @@ def read_tracks(path: Path, *, frames: int) -> Tracks:
     return Tracks(rest, position, np.broadcast_to(sigma, (len(rest),)).copy())
 
 
-def read_hold(path: Path, *, frames: int) -> Hold:
+def read_stage_hold(path: Path, *, frames: int) -> Hold:
     """hold.npz. Raises CaptureError, one line, for other frames than the sequence's and what is no pose."""
     every = Size.frames(frames)
     shapes = {"position": (every, 3), "quaternion": (every, 4), "box": (2, 3)}

@@ -24,7 +24,7 @@ from mphygs.motion.camera_check import check_cameras
 from mphygs.motion.contact_motion import coarse_contact
 from mphygs.motion.grip import Grip, find_grip
 from mphygs.motion.registration import Registration, register
-from mphygs.motion.stage_files import Registered, Tracks, read_hold, read_registered, read_tracks
+from mphygs.motion.stage_files import Registered, Tracks, read_registered, read_stage_hold, read_tracks
 from mphygs.motion.track_choice import chosen_gaussians, tracks_of
 from mphygs.motion.track_noise import variance_of_tracks
 from mphygs.motion.tracking import Followed, TrackingRule, aligner_of, follow
@@ -208,7 +208,7 @@ def contact_stage(
     path = run.files.hold(recording.name)
     stage = run.stage(path, recording, {})
     if stage.state() == "own":
-        return read_hold(path, frames=recording.frames), "own", None
+        return read_stage_hold(path, frames=recording.frames), "own", None
     given = [] if estimate else [hold for hold in recording.held if not hold.is_fixed]
     if given:
         hold = given[0]
@@ -225,7 +225,7 @@ def contact_stage(
     tracks, _ = track_stage(run, recording, rule=rule, count=count, report=report)
     stage = stage.also(tracks=digest_of(run.files.tracks(recording.name)), radius=radius)
     if stage.state() != "missing":
-        return read_hold(path, frames=recording.frames), "made", None
+        return read_stage_hold(path, frames=recording.frames), "made", None
     cameras = {name: views.views[name, 0].camera for name in views.cameras}
     with named(recording):
         coarse = coarse_contact(cameras, views.contact, recording.frames)

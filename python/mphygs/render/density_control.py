@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from mphygs.render.raw_gaussians import RawGaussians
-from mphygs.scene.rotation import rotation_matrices
+from mphygs.scene.tensor_rotation import rotation_matrices
 
 _CHILDREN = 2
 _SHRINK = 0.8 * _CHILDREN  # of a Gaussian that is split

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from mphygs.capture.cameras import Camera
 from mphygs.scene.gaussians import Gaussians
-from mphygs.scene.rotation import rotation_matrices
+from mphygs.scene.tensor_rotation import rotation_matrices
 
 # Beyond this share of the picture outside its edge the linearised projection is held, as in 3DGS.
 _MARGIN = 0.15

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mphygs.capture.meshes import Part
-from mphygs.scene.blocks import CORNERS, SMALLEST, Blocks, Grid, fitting, moments, spread
-from mphygs.scene.charts import Chart
+from mphygs.scene.cell_blocks import CORNERS, SMALLEST, CellBlocks, Grid, fitting, moments, spread
 from mphygs.scene.columns import Segments, cut_axis, split_columns
+from mphygs.scene.curved_charts import Chart
 from mphygs.scene.finer_meshes import finer
 from mphygs.scene.middle_surface import chords, middle_surface
 from mphygs.scene.rays import inside
@@ -178,7 +178,7 @@ def fill_curved(
     boxes: np.ndarray,
     earlier: Sequence[Part],
     samples: int,
-) -> Blocks:
+) -> CellBlocks:
     """Blocks of one part on its chart, less what holds carry and earlier parts own.
 
     number: of the part among `count`; boxes: (H, 2, 3) [m]; samples: columns per cell along the part.
@@ -207,7 +207,7 @@ def fill_curved(
     points = cell[:, None] + 1.0 + mean[:, None] + np.einsum("kc,bac->bka", CORNERS, spread(mean, covariance))
     placed = chart.to_space(points.reshape(-1, 3)).reshape(points.shape)
     own = share / measure(cell + 0.5)
-    return Blocks(cell, np.full(len(cell), number), own, share, placed, seen)
+    return CellBlocks(cell, np.full(len(cell), number), own, share, placed, seen)
 
 
 def rods_doubled(quadrature: Quadrature) -> Quadrature:

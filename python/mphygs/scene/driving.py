@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from mphygs.scene.gaussians import Gaussians
-from mphygs.scene.rotation import polar_rotation, quaternion_product, quaternions_of_rotations
+from mphygs.scene.tensor_rotation import polar_rotation, quaternion_product, quaternions_of_rotations
 
 NEIGHBOURS = 4
 

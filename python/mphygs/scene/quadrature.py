@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mphygs.capture.meshes import enclosed_volume
-from mphygs.scene.blocks import CORNERS, Blocks, Grid, fitting, moments, spread
+from mphygs.scene.cell_blocks import CORNERS, CellBlocks, Grid, fitting, moments, spread
 from mphygs.scene.columns import Strips, cut_axis, flat_planes, split_columns
 from mphygs.scene.curved_quadrature import fill_curved
 from mphygs.scene.rays import checked_boxes
 
 if TYPE_CHECKING:
     from mphygs.capture.format import Part
-    from mphygs.scene.charts import Chart
+    from mphygs.scene.curved_charts import Chart
 
 # A cell with less material than this share of its volume is left out; the rest of its part takes its volume.
 SMALLEST_SHARE = 1e-4
@@ -222,7 +222,7 @@ def _strips(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) 
     )
 
 
-def _blocks(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) -> Blocks:
+def _blocks(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) -> CellBlocks:
     x, y = _strips(parts, boxes, grid, samples)
     segments = split_columns(parts, boxes, x, y)
     cell, part, share, mean, covariance = moments(segments, x, y, grid)
@@ -230,11 +230,11 @@ def _blocks(parts: Sequence[Part], boxes: np.ndarray, grid: Grid, samples: int) 
     centre = grid.corner + (cell + 0.5) * grid.spacing
     volume = share * grid.spacing.prod()
     placed = centre[:, None] + points * grid.spacing
-    return Blocks(cell, part, share, volume, placed, segments.full_volume)
+    return CellBlocks(cell, part, share, volume, placed, segments.full_volume)
 
 
 def _checked_blocks(
-    parts: Sequence[Part], found: Sequence[Blocks], spacing: np.ndarray, corner: np.ndarray
+    parts: Sequence[Part], found: Sequence[CellBlocks], spacing: np.ndarray, corner: np.ndarray
 ) -> Quadrature:
     """All blocks, with the volumes of the meshes. spacing, corner: (3,), or (P, 3) of own grids [m]."""
     seen = _seen(parts, np.sum([blocks.seen for blocks in found], axis=0))

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from mphygs.scene.charts import Chart
+from mphygs.scene.curved_charts import Chart
 from mphygs.scene.finer_meshes import finer
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, kron, vstack
 from scipy.sparse.linalg import splu
 
-from mphygs.scene.charts import Chart
+from mphygs.scene.curved_charts import Chart
 from mphygs.scene.middle_surface import MiddleSurface
 
 # Weight of a cell's second differences beside the samples of a cell: they say how the chart goes on where

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mphygs.capture.format import Capture
-from mphygs.scene.charts import Chart
+from mphygs.scene.curved_charts import Chart
 from mphygs.scene.particles import (
     chosen_shape,
     exposed_surface,

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mphygs.scene.rotation import polar_rotation
+from mphygs.scene.tensor_rotation import polar_rotation
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,7 @@ class _Bricks(MeshHex):
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class SurfacePoints:
     """Gauss points on a surface. value: (M, N) shape functions, slope: along x, y, z; area: (M, 3) [m^2] of
     each, outward."""
 
@@ -94,7 +94,7 @@ class BrickMesh:
         surface = FacetBasis(self.basis.mesh, self.basis.elem, facets="bare", intorder=DEGREE)
         return LinearForm(lambda v, w: v).assemble(surface)
 
-    def patch(self, part: int | None, box: np.ndarray | None) -> Patch:
+    def patch(self, part: int | None, box: np.ndarray | None) -> SurfacePoints:
         """The free surface of a part (None: of all) in a box (2, 3) [m] (None: everywhere), which may cut
         through faces of bricks."""
         mesh, mapping = self.basis.mesh, self.basis.mapping
@@ -124,7 +124,8 @@ class BrickMesh:
             return csr_array((data.ravel(), columns.ravel(), starts), shape=(len(columns), len(self.nodes)))
 
         slope = [matrix([shape.grad[axis] for shape in shapes]) for axis in range(3)]
-        return Patch(matrix([np.array(s) for s in shapes]), slope, (area[..., None] * share).reshape(3, -1).T)
+        value = matrix([np.array(s) for s in shapes])
+        return SurfacePoints(value, slope, (area[..., None] * share).reshape(3, -1).T)
 
     def weights(self, points: np.ndarray) -> csr_array:
         """(M, N) shape functions at points (M, 3) [m], of the nearest element where they lie in none."""

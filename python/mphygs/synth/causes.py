@@ -12,7 +12,7 @@ Forces = tuple[np.ndarray | None, np.ndarray | None]
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class MaterialState:
     """State of all quadrature points at one time.
 
     reference, position [m], velocity [m/s]: (Q, 3); deformation: (Q, 3, 3); mass [kg], volume [m^3]: (Q,);
@@ -29,14 +29,14 @@ class Material:
     time: float
 
 
-def cubic_drag(material: Material, values: Mapping[str, float]) -> Forces:
+def cubic_drag(material: MaterialState, values: Mapping[str, float]) -> Forces:
     """Force -c_3 |v|^2 v per mass; c_3 [s/m^2]."""
     speed = (material.velocity**2).sum(1)
     force = -values["c_3"] * (material.mass * material.inside * speed)[:, None] * material.velocity
     return force, None
 
 
-def point_field(material: Material, values: Mapping[str, float]) -> Forces:
+def point_field(material: MaterialState, values: Mapping[str, float]) -> Forces:
     """Pull towards a fixed point (x, y, z) [m], strength / d^2 per mass; strength [m^3/s^2].
 
     Within `core` [m] of the point the pull stays finite.
@@ -47,7 +47,7 @@ def point_field(material: Material, values: Mapping[str, float]) -> Forces:
     return share[:, None] * towards, None
 
 
-def actuation(material: Material, values: Mapping[str, float]) -> Forces:
+def actuation(material: MaterialState, values: Mapping[str, float]) -> Forces:
     """A muscle along (a_x, a_y, a_z) on one side of its points: second Piola-Kirchhoff stress, amplitude [Pa]
     times sin(2 pi f t), growing linearly across (b_x, b_y, b_z) over their extent, so that it bends them."""
     fibre, across = (np.array([values[f"{k}_{c}"] for c in "xyz"]) for k in "ab")
@@ -64,7 +64,7 @@ class Cause:
     """function(material, values) gives the forces; values: names of its numbers."""
 
     name: str
-    function: Callable[[Material, Mapping[str, float]], Forces]
+    function: Callable[[MaterialState, Mapping[str, float]], Forces]
     values: tuple[str, ...]
 
 

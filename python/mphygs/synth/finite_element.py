@@ -14,13 +14,13 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import ACCELERATION, Sensor
-from mphygs.synth.motion import Motion
+from mphygs.synth.simulated_motion import SimulatedMotion
 
 if TYPE_CHECKING:
     from mphygs.synth.hidden import Hidden
     from mphygs.synth.recipe import Recipe
 
-from mphygs.synth.finite_element_body import KNOWN, Body
+from mphygs.synth.finite_element_body import KNOWN, FiniteElementBody
 
 
 def simulate_finite_element(
@@ -30,7 +30,7 @@ def simulate_finite_element(
     hidden: Sequence[Hidden],
     spacing: float,
     progress: Callable[[int], bool] | None = None,
-) -> Motion:
+) -> SimulatedMotion:
     """True motion of the markers of one recording, by central differences in time.
 
     spacing: of a grid as fine as the bricks [m]; progress: told the number of frames after release that
@@ -43,11 +43,11 @@ def simulate_finite_element(
                 f"the finite-element simulator has no '{thing.name}'; expected some of {', '.join(KNOWN)}"
             )
     # A brick has three nodes each way, a grid cell one of its own: twice the size is as fine.
-    body = Body(capture, recording, recipe, hidden, 2.0 * spacing)
+    body = FiniteElementBody(capture, recording, recipe, hidden, 2.0 * spacing)
     return _run(body, progress)
 
 
-def _run(body: Body, progress: Callable[[int], bool] | None) -> Motion:
+def _run(body: FiniteElementBody, progress: Callable[[int], bool] | None) -> SimulatedMotion:
     """Markers in all frames: central differences, velocities at the half steps."""
     recording, mesh = body.recording, body.mesh
     places = recording.markers.at
@@ -84,11 +84,11 @@ def _run(body: Body, progress: Callable[[int], bool] | None) -> Motion:
                 progress(frame - first)
         u, v = moved, late
     _carry(body, places, position, velocity)
-    return Motion(position, velocity, ~body.in_hold(places), len(times) - 1, readings)
+    return SimulatedMotion(position, velocity, ~body.in_hold(places), len(times) - 1, readings)
 
 
 def _read(
-    body: Body,
+    body: FiniteElementBody,
     sensor: Sensor,
     acceleration: np.ndarray,
     pulls: np.ndarray,
@@ -111,7 +111,7 @@ def _read(
     return both[: sensor.value.shape[1]]
 
 
-def _carry(body: Body, places: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
+def _carry(body: FiniteElementBody, places: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
     """Markers on what is held follow it rigidly."""
     held = body.in_hold(places)
     times = np.arange(body.recording.frames) / body.recording.fps

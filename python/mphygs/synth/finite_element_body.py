@@ -12,7 +12,7 @@ from mphygs.capture.actuators import Force
 from mphygs.capture.format import Capture, Load
 from mphygs.capture.record import Sequence as Recording
 from mphygs.synth.brick_mesh import SAME, brick_mesh
-from mphygs.synth.causes import CAUSES, Material
+from mphygs.synth.causes import CAUSES, MaterialState
 from mphygs.synth.finite_element_drive import Driven
 from mphygs.synth.finite_element_rest import stiffness, unloaded
 from mphygs.synth.finite_element_stress import MaterialStress, Values, cofactor, published, times, transposed
@@ -31,7 +31,7 @@ OUTSIDE = (
 KNOWN = (*MaterialStress.KNOWN, *OUTSIDE)
 
 
-class Body:
+class FiniteElementBody:
     """One object under one hold, and what acts on it."""
 
     def __init__(
@@ -174,7 +174,7 @@ class Body:
         body_force = None
         for thing, where in self.causes:
             points = mesh.points.reshape(-1, 3)
-            state = Material(
+            state = MaterialState(
                 points,
                 points + (moved @ mesh.value.T).reshape(3, -1).T,
                 (speed @ mesh.value.T).reshape(3, -1).T,

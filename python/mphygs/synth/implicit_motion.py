@@ -115,7 +115,7 @@ def march(structure: Structure, start: State, begin: float, step: float, count: 
         yield Moment(state, velocity, acceleration)
 
 
-def assembled(blocks: np.ndarray, entry: np.ndarray, size: int) -> csc_matrix:
+def summed_blocks(blocks: np.ndarray, entry: np.ndarray, size: int) -> csc_matrix:
     """Sparse sum of blocks (B, n, n) at rows and columns `entry` (B, n)."""
     rows = np.broadcast_to(entry[:, :, None], blocks.shape)
     columns = np.broadcast_to(entry[:, None, :], blocks.shape)

@@ -18,10 +18,10 @@ from mphygs.synth.faults import seen_through, shifted
 from mphygs.synth.finite_element import simulate_finite_element
 from mphygs.synth.hidden import Hidden
 from mphygs.synth.marker_noise import measure
-from mphygs.synth.motion import Motion
 from mphygs.synth.recipe import Recipe, Take, truth_spacing
 from mphygs.synth.rod import simulate_rod
 from mphygs.synth.shell import simulate_shell
+from mphygs.synth.simulated_motion import SimulatedMotion
 from mphygs.synth.synthetic_sensors import measured_sensors
 from mphygs.synth.truth import simulate_truth
 
@@ -61,7 +61,7 @@ def make_capture(
     compared = bool(recipe.hidden and measure_signal)
     work = _Work(report, sum(moving_frames(t) for t in recipe.takes) * (2 if compared and physics else 1))
     recordings, differences, outliers, substeps = [], [], {}, []
-    motions: dict[str, Motion] = {}
+    motions: dict[str, SimulatedMotion] = {}
     for number, (take, recording) in enumerate(zip(recipe.takes, capture.sequences, strict=True)):
         longer = whole_recording(recipe, take, places, extra=max(0, math.ceil(offset * take.fps)))
         text = f"{take.name}: {longer.frames} frames at {1e3 * spacing:.3g} mm"
@@ -128,7 +128,7 @@ class _Work:
 
 
 def _seen(
-    motion: Motion,
+    motion: SimulatedMotion,
     take: Take,
     faults: Mapping[str, Mapping[str, float]],
     offset: float,
@@ -164,7 +164,7 @@ def _answer(
     recipe: Recipe,
     differences: Sequence[dict],
     outliers: Mapping[str, list[int]],
-    motions: Mapping[str, Motion],
+    motions: Mapping[str, SimulatedMotion],
 ) -> dict[str, object]:
     """The truth, in the words of the other answers there are."""
     volume = {part.name: part.volume for part in recipe.shape.parts}

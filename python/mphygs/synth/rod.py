@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
-from mphygs.synth.motion import Motion
 from mphygs.synth.rod_body import KNOWN, RodBody
+from mphygs.synth.simulated_motion import SimulatedMotion
 from mphygs.synth.thin_film import check_film, film
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def simulate_rod(
     hidden: Sequence[Hidden],
     spacing: float,
     progress: Callable[[int], bool] | None = None,
-) -> Motion:
+) -> SimulatedMotion:
     """True motion of the markers of one recording.
 
     spacing: of the nodes along the rods [m], at most; progress: told the number of frames after release that

@@ -12,8 +12,8 @@ from scipy.sparse import csc_matrix
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.rotation import matrix_from_rotation_vector
-from mphygs.synth.causes import CAUSES, Material
-from mphygs.synth.implicit_motion import assembled
+from mphygs.synth.causes import CAUSES, MaterialState
+from mphygs.synth.implicit_motion import summed_blocks
 from mphygs.synth.outside_forces import body_field, drag, tether
 from mphygs.synth.rod_net import SAME, rod_net
 from mphygs.synth.rod_strain import nodal_forces, strains
@@ -143,7 +143,7 @@ class RodBody:
         blocks[:, [0, 1, 2], [0, 1, 2]] = self.mass[:, None]
         blocks[:, 3:, 3:] = self.turning
         entry = 6 * np.arange(len(blocks))[:, None] + np.arange(6)
-        return assembled(blocks, entry, 6 * len(blocks))
+        return summed_blocks(blocks, entry, 6 * len(blocks))
 
     def _within(self, box: np.ndarray) -> np.ndarray:
         return ((self.net.nodes >= box[0] - SAME) & (self.net.nodes <= box[1] + SAME)).all(axis=1)
@@ -252,7 +252,7 @@ class RodBody:
                         rotation[:, side] = rotation[:, side] @ matrix_from_rotation_vector(step_of)
                     both.append(self._forces(place, rotation, stiffness, late))
                 columns.append((both[0] - both[1]).reshape(-1, 12) / (2.0 * NUDGE))
-        return assembled(np.stack(columns, axis=2), self._entry, 6 * len(self.mass))
+        return summed_blocks(np.stack(columns, axis=2), self._entry, 6 * len(self.mass))
 
     # ---- forces -------------------------------------------------------------------------------
     def _lagging(self, before: RodState, step: float) -> tuple[np.ndarray, np.ndarray | None]:
@@ -279,7 +279,7 @@ class RodBody:
             node, weight = self.net.element[at.element[0]], np.array([[1.0 - at.share[0]], [at.share[0]]])
             force[node] += weight * tether((weight * x[node]).sum(0, keepdims=True), self.effects["tether"])
         for thing, where in self._causes:
-            state = Material(
+            state = MaterialState(
                 self.net.nodes, x, v, np.tile(np.eye(3), (len(x), 1, 1)), self.mass, self.volume, where, time
             )
             force = force + CAUSES[thing.name].function(state, thing.values)[0]

@@ -12,7 +12,9 @@ from mphygs.synth.shape import Shape
 from mphygs.synth.thin_shapes import branched_cable, cable, strip, thin_flower
 
 
-def leaf(root: float, length: float, half_width: float, root_half_width: float, side: int) -> np.ndarray:
+def leaf_polygon(
+    root: float, length: float, half_width: float, root_half_width: float, side: int
+) -> np.ndarray:
     """(7, 2) outline in x and y of a leaf that starts at x = side * root and points along x [m]."""
     along = root + length * np.array([0.0, 0.35, 0.75, 1.0, 0.75, 0.35, 0.0])
     across = np.array(
@@ -91,7 +93,7 @@ def flower(
         prism("head", polygon(head, 8), 2, height, height + head_height),
     ]
     for name, side, level in (("leaf1", 1, 0.45 * height), ("leaf2", -1, 0.65 * height)):
-        outline = leaf(stem, leaf_length, leaf_half_width, flat, side)
+        outline = leaf_polygon(stem, leaf_length, leaf_half_width, flat, side)
         parts.append(prism(name, outline, 2, level, level + leaf_thickness))
     gap = 1e-3
     return Shape(

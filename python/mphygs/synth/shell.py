@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
-from mphygs.synth.motion import Motion
 from mphygs.synth.shell_body import KNOWN, ShellBody
+from mphygs.synth.simulated_motion import SimulatedMotion
 from mphygs.synth.thin_film import check_film, film
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def simulate_shell(
     hidden: Sequence[Hidden],
     spacing: float,
     progress: Callable[[int], bool] | None = None,
-) -> Motion:
+) -> SimulatedMotion:
     """True motion of the markers of one recording.
 
     spacing: of a grid as fine as the elements [m]; progress: told the number of frames after release that are

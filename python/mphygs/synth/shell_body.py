@@ -11,8 +11,8 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
-from mphygs.synth.causes import CAUSES, Material
-from mphygs.synth.implicit_motion import assembled
+from mphygs.synth.causes import CAUSES, MaterialState
+from mphygs.synth.implicit_motion import summed_blocks
 from mphygs.synth.outside_forces import body_field, drag, tether
 from mphygs.synth.shell_grid import ShellGrid
 from mphygs.synth.shell_strain import fundamental, local_axes, normal, slope_forces
@@ -118,13 +118,13 @@ class ShellBody:
         """Of shares (E, 16, 16) of the control points at the elements' points."""
         mass = np.einsum("eq,eqi,eqj->eij", self.mass.reshape(-1, 16), value, value)
         blocks = np.einsum("eij,cd->eicjd", mass, np.eye(3)).reshape(-1, 48, 48)
-        inertia = assembled(blocks, self._entry, 3 * len(self.held))
+        inertia = summed_blocks(blocks, self._entry, 3 * len(self.held))
         if "attached_mass" in self._spots:
             spot, mass = self._spots["attached_mass"], self.effects["attached_mass"]["m"]
             own = mass * np.outer(spot.shares[0, 0], spot.shares[0, 0])
             block = np.einsum("ij,cd->icjd", own, np.eye(3)).reshape(1, 48, 48)
             entry = (3 * spot.control[0][:, None] + np.arange(3)).reshape(1, 48)
-            inertia = inertia + assembled(block, entry, 3 * len(self.held))
+            inertia = inertia + summed_blocks(block, entry, 3 * len(self.held))
         return csc_matrix(inertia)
 
     def _share(self, box: np.ndarray) -> np.ndarray:
@@ -184,7 +184,7 @@ class ShellBody:
         force = force + drag(v, self.surface, self.effects)
         for thing in self._causes:
             everywhere, still = np.ones(len(x), bool), np.tile(np.eye(3), (len(x), 1, 1))
-            points = Material(self.points, x, v, still, self.mass, self.volume, everywhere, time)
+            points = MaterialState(self.points, x, v, still, self.mass, self.volume, everywhere, time)
             force = force + CAUSES[thing.name].function(points, thing.values)[0]
         for pull, begin, end in self._loads:
             # Of the step in which it starts or ends, by its middle.
@@ -219,7 +219,7 @@ class ShellBody:
         half = half.transpose(0, 3, 1, 2, 4).reshape(-1, 5, 144)
         whole = (across @ half).reshape(-1, 16, 16, 16, 3, 3).sum(axis=1)
         blocks = whole.transpose(0, 2, 3, 1, 4)
-        return assembled(blocks.reshape(-1, 48, 48), self._entry, 3 * len(state))
+        return summed_blocks(blocks.reshape(-1, 48, 48), self._entry, 3 * len(state))
 
     # ---- stress -------------------------------------------------------------------------------
     def _slopes(self, state: np.ndarray) -> np.ndarray:

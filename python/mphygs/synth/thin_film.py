@@ -9,7 +9,7 @@ import numpy as np
 
 from mphygs.capture.record import Sequence as Recording
 from mphygs.synth.implicit_motion import march
-from mphygs.synth.motion import Motion
+from mphygs.synth.simulated_motion import SimulatedMotion
 
 if TYPE_CHECKING:
     from mphygs.synth.hidden import Hidden
@@ -35,7 +35,7 @@ def check_film(name: str, known: Sequence[str], recording: Recording, hidden: Se
 
 def film(
     body: RodBody | ShellBody, recording: Recording, progress: Callable[[int], bool] | None = None
-) -> Motion:
+) -> SimulatedMotion:
     """The markers of a recording on a body. progress: told the number of frames after release that are done.
 
     Raises RuntimeError where no step is found.
@@ -54,4 +54,4 @@ def film(
             )
             if progress:
                 progress(frame - first)
-    return Motion(position, velocity, ~places.held, count)
+    return SimulatedMotion(position, velocity, ~places.held, count)

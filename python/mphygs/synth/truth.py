@@ -14,10 +14,10 @@ from mphygs.model.belief import Belief
 from mphygs.simulate.body import Body
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import MLS, Settings
-from mphygs.synth.causes import CAUSES, Material
+from mphygs.synth.causes import CAUSES, MaterialState
 from mphygs.synth.hidden import Hidden
-from mphygs.synth.motion import Motion
 from mphygs.synth.recipe import Recipe
+from mphygs.synth.simulated_motion import SimulatedMotion
 
 
 def true_belief(capture: Capture, recipe: Recipe, hidden: Sequence[Hidden]) -> Belief:
@@ -39,7 +39,7 @@ def simulate_truth(
     hidden: Sequence[Hidden],
     spacing: float,
     progress: Callable[[int], bool] | None = None,
-) -> Motion:
+) -> SimulatedMotion:
     """True motion of the markers of one recording under what is hidden (faults aside), by the core.
 
     spacing: of the grid [m]; progress: told the number of frames after release that are done.
@@ -55,7 +55,7 @@ def simulate_truth(
     settings = Settings(spacing=spacing, workers=1, transfer=recipe.simulator)
     predictor = CausedPredictor(capture, recording, settings, causes)
     prediction = predictor.predict(belief, progress=progress)
-    return Motion(
+    return SimulatedMotion(
         prediction.position,
         prediction.velocity,
         predictor.attachment.hold < 0,
@@ -133,7 +133,7 @@ class CauseForces:
         forces: list[np.ndarray | None] = [None, None]
         state = [np.asarray(a[0], float) for a in (position, velocity, deformation)]
         for thing, inside in self._causes:
-            material = Material(self._reference, *state, self._mass, self._volume, inside, time)
+            material = MaterialState(self._reference, *state, self._mass, self._volume, inside, time)
             for k, more in enumerate(CAUSES[thing.name].function(material, thing.values)):
                 if more is not None:
                     if forces[k] is None:

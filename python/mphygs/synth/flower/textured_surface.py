@@ -58,9 +58,3 @@ def annulus(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
 def cap(ring: np.ndarray, centre: int) -> np.ndarray:
     """A fan about a vertex, counter-clockwise as the ring (K,) is."""
     return np.stack([np.full(len(ring), centre), ring, np.roll(ring, -1)], axis=1)
-
-
-def enclosed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """By the divergence theorem [m^3]."""
-    a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
-    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)

@@ -44,7 +44,7 @@ def fitting(
     return plane - below * size, size, below + above
 
 
-class Blocks(NamedTuple):
+class CellBlocks(NamedTuple):
     """Blocks of one grid. cell: (B, 3); part: (B,); share: (B,) of a cell's volume; volume: (B,) [m^3];
     points: (B, 8, 3) [m]; seen: (P,) volume of every part before anything was taken from it [m^3]."""
 
@@ -55,14 +55,14 @@ class Blocks(NamedTuple):
     points: np.ndarray
     seen: np.ndarray
 
-    def only(self, part: int, number: int, part_count: int, free: float) -> Blocks:
+    def only(self, part: int, number: int, part_count: int, free: float) -> CellBlocks:
         """The blocks of one part, which is number `number` of `part_count`; free: share of it that they are,
         for the grid reaches no further than they do."""
         mine, seen = self.part == part, np.zeros(part_count)
         seen[number] = self.volume[mine].sum() / free if free > 0.0 else self.seen[part]
         kept = [values[mine] for values in (self.cell, self.part, self.share, self.volume, self.points)]
         kept[1] = np.full(int(mine.sum()), number)
-        return Blocks(*kept, seen)
+        return CellBlocks(*kept, seen)
 
 
 def moments(

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SimulatedMotion:
     """Markers in all frames: position (T, M, 3) [m], velocity (T, M, 3) [m/s]; movable: (M,) bool, not
     carried by a hold; substeps: number computed; readings: (T, V, 3) of each of the recording's sensors."""
 
@@ -18,7 +18,7 @@ class Motion:
     substeps: int
     readings: tuple[np.ndarray, ...] = ()
 
-    def after(self, cut: int) -> Motion:
+    def after(self, cut: int) -> SimulatedMotion:
         """The motion from a frame on."""
         readings = tuple(value[cut:] for value in self.readings)
         return replace(self, position=self.position[cut:], velocity=self.velocity[cut:], readings=readings)
