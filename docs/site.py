@@ -10,6 +10,7 @@ import importlib
 import inspect
 import itertools
 import re
+import sys
 from dataclasses import MISSING, fields
 from pathlib import Path
 
@@ -21,6 +22,10 @@ from mphygs.model.descriptor import EffectSpec
 from mphygs.model.registry import effects, faults, material_effects
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "docs"))
+
+from effect_pictures import picture, pictured  # noqa: E402
+
 SITES = {
     "volume": "in every point of the material",
     "body": "on every point of the body",
@@ -43,7 +48,14 @@ def on_files(files: Files, config: object) -> Files:
     }
     for path, content in pages.items():
         files.append(File.generated(config, path, content=content))
+    for name in pictured():
+        if name in effects():
+            files.append(File.generated(config, _picture_of(name), content=picture(name)))
     return files
+
+
+def _picture_of(name: str) -> str:
+    return f"images/effects/{name}.svg"
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
@@ -61,11 +73,16 @@ def front_page() -> str:
 def effects_page() -> str:
     """All effects by their descriptors."""
     lines = ["# Every effect", "", "As the registry of this build describes them."]
-    lines += ["An effect whose numbers are at their null is absent.", ""]
+    lines += ["An effect whose numbers are at their null is absent. Pictures are of a bar clamped at x = 0,"]
+    lines += ["let go and shaken, with the effect (line, crosses) and without (dashed, circles): the point"]
+    lines += ["that differs most, and all points at that time."]
+    lines += ["`mphygs synth bar --hidden NAME` makes captures of them.", ""]
     for name, spec in effects().items():
         lines += [f"## {name}", "", f"`{spec.summary}`", ""]
         if words := source_words(spec):
             lines += ["```text", words, "```", ""]
+        if name in pictured():
+            lines += [f"![a bar without and with {name}]({_picture_of(name)})", ""]
         lines.append(f"Acts {SITES.get(spec.site, spec.site)}; {spec.kind}.")
         if spec.history:
             lines.append(f"It remembers: {spec.history} numbers a point.")

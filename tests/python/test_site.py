@@ -11,6 +11,7 @@ import pytest
 import mphygs
 from mphygs.commands.command_table import COMMANDS
 from mphygs.model.registry import effects
+from mphygs.synth.hidden import hidden_names
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,6 +33,9 @@ def test_the_site_builds_and_tells_of_everything(tmp_path: Path) -> None:
         assert f'id="{name}"' in told["every-effect"], name
         for parameter in spec.parameters:
             assert f"<td>{parameter.name}</td>" in told["every-effect"], (name, parameter.name)
+        if name in hidden_names():
+            assert f"images/effects/{name}.svg" in told["every-effect"], name
+            assert b"<svg" in (tmp_path / "images" / "effects" / f"{name}.svg").read_bytes()
     for name in COMMANDS:
         assert f'id="{name}"' in told["commands"], name
     assert "--spacing" in told["commands"] or "<code>spacing</code>" in told["commands"]
