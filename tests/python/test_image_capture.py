@@ -77,7 +77,7 @@ def test_parts_tracks_and_holds_are_told_in_the_frame_of_the_object(tmp_path: Pa
     whole = assembled_capture(capture, folder)
     assert [part.name for part in whole.parts] == ["segment-00", "segment-01"]
     assert [part.shape for part in whole.parts] == ["solid", "solid"]
-    told = assembled(replace(capture, found_as="auto"), folder)
+    told = assembled_capture(replace(capture, found_as="auto"), folder)
     assert [part.shape for part in told.parts] == ["auto", "auto"]
     # particles that do not say what they were found in show as much as their spacing
     path = StageFolder(folder).particles
