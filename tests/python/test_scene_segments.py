@@ -26,7 +26,7 @@ from mphygs.scene.object_files import (
 )
 from mphygs.scene.part_meshes import segment_meshes
 from mphygs.scene.quadrature import fill
-from mphygs.scene.segments import FeatureBlock, SegmentSettings, find_segments
+from mphygs.scene.segments import FeatureBlock, SegmentSettings, _span_of_one_mode, find_segments
 from mphygs.scene.soft_boundary import Particles
 
 
@@ -169,3 +169,37 @@ def test_files_of_the_object_come_back_or_say_what_is_wrong(tmp_path: Path) -> N
         read_particles(path)
     with pytest.raises(CaptureError, match="holds no .ply"):
         read_parts(tmp_path)
+
+
+def test_what_one_mode_spans_is_where_a_mixture_of_two_normals_gets_a_second() -> None:
+    for first, second in ((1.0, 1.0), (1.0, 2.0), (0.8, 1.0), (0.3, 1.0), (0.02, 1.0)):
+        span = float(_span_of_one_mode(np.array(first**2), np.array(second**2)))
+        for times, one_mode in ((0.99, True), (1.01, False)):
+            # The densities' slopes cancel at x for shares in one ratio: each has but one x where that rises.
+            away = times * span
+            x = np.linspace(0.0, away, 20002)[1:-1]
+            log = np.log(x / first**2) - 0.5 * (x / first) ** 2
+            log -= np.log((away - x) / second**2) - 0.5 * ((away - x) / second) ** 2
+            assert (np.diff(log) > 0).all() == one_mode, (first, second, times)
+    # 1.5 sqrt(3) of the narrower one where the other is far wider, and nothing of what has no spread
+    found = _span_of_one_mode(np.array([1e-12, 0.0]), np.array([1.0, 0.0]))
+    assert found == pytest.approx([1.5e-6 * 3.0**0.5, 0.0], rel=1e-6)
+
+
+def test_segments_are_told_apart_by_their_own_spread_and_not_by_what_else_is_there() -> None:
+    """A stem, a head and two petals: stem and head look nearly alike beside the petals, but each evenly so;
+    the petals differ by more than those two, but more still within each."""
+    draw = np.random.default_rng(3)
+    boxes = (
+        ([-0.1, -0.1, 0.0], [0.1, 0.1, 2.0]),
+        ([-0.3, -0.3, 2.0], [0.3, 0.3, 2.3]),
+        ([-2.3, -0.2, 2.1], [-0.3, 0.2, 2.2]),
+        ([0.3, -0.2, 2.1], [2.3, 0.2, 2.2]),
+    )
+    place = np.concatenate([draw.uniform(*box, (500, 3)) for box in boxes])
+    each = np.repeat(np.arange(4), 500)
+    spread = np.array([0.04, 0.04, 1.5, 1.5])[each]
+    look = np.array([0.0, 0.2, 2.0, 2.4])[each] + spread * draw.standard_normal(len(each))
+    blocks = [FeatureBlock(look[:, None], 1.0), FeatureBlock(np.eye(4)[each], 1.0, tells=False)]
+    found = find_segments(place, blocks, SegmentSettings(samples=2000, least_cluster=0.05))
+    assert adjusted_rand_score(np.minimum(each, 2), found) > 0.95

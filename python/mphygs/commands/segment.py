@@ -67,9 +67,9 @@ class SegmentOptions(CommonOptions):
     """About so many inside the object."""
     segments: int = 25
     """Number of segments that is not exceeded."""
-    alike: float = 0.25
-    """Distance in looks and thickness, over that of two random places, below which two segments are one; 0:
-    every petal stays a segment of its own."""
+    alike: float = 1.0
+    """Distance in looks and thickness below which two segments are one, over the largest at which both look
+    like one kind of place (a distribution of one mode); 0: every petal stays a segment of its own."""
     longest: int = 400
     """Pictures larger than this along a side are used at a half, a third, ... of their size [px]."""
     seed: int = 0

@@ -11,6 +11,7 @@ from sklearn.cluster import HDBSCAN
 
 _NEIGHBOURS = 20  # that a label is smoothed over
 _NEAREST = 10  # labelled places that a place without a label asks
+_NONE = 1e-150  # below any distance or variance: what would be divided by nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +30,9 @@ class SegmentSettings:
 
     samples: places that are clustered, the others follow them; dimensions: kept by the principal components;
     least_cluster: of a cluster, share of the samples; core: neighbours that make a place dense; place: weight
-    of the position beside features of weight 1; rounds: of smoothing; alike: distance of two segments' means,
-    where that of two random places is 1 (root of the mean square), below which they are one; 0 for never;
-    least_segment: of a segment, share of all places; most: segments.
+    of the position beside features of weight 1; rounds: of smoothing; alike: distance of two segments' means
+    below which they are one, over the largest at which the features of both still make one mode; 0 for
+    never; least_segment: of a segment, share of all places; most: segments.
     """
 
     samples: int = 6000
@@ -40,7 +41,7 @@ class SegmentSettings:
     core: int = 8
     place: float = 0.6
     rounds: int = 4
-    alike: float = 0.25
+    alike: float = 1.0
     least_segment: float = 0.01
     most: int = 25
     seed: int = 0
@@ -59,8 +60,9 @@ def find_segments(
 
     Features are averaged over the nearest places, joined with the position, reduced, and clustered finely by
     HDBSCAN (Campello et al. 2013, leaves); places that belong to no cluster take the label of most of the
-    nearest that do. Of these pieces those that are alike become one segment, wherever they are: the petals of
-    a ring. Small segments are joined with the neighbour that they are most like. Raises ValueError for fewer
+    nearest that do. Of these pieces those whose features make one mode together become one segment, wherever
+    they are: the petals of a ring, whose places differ as much within a petal as between two. Small segments
+    are joined with the neighbour that they are most like. Raises ValueError for fewer
     than 50 places.
     """
     settings = SegmentSettings() if settings is None else settings
@@ -135,24 +137,53 @@ def _smoothed(label: np.ndarray, near: np.ndarray, rounds: int) -> np.ndarray:
     return label
 
 
-def _alike(label: np.ndarray, features: np.ndarray, least: float) -> np.ndarray:
-    """Labels with segments joined, the two nearest means first, until none are nearer than `least`."""
+def _alike(label: np.ndarray, features: np.ndarray, reach: float) -> np.ndarray:
+    """Labels with segments joined, first those that are nearest for what one mode spans, until no two are
+    nearer than `reach` of it."""
     names, label = np.unique(label, return_inverse=True)
     size = np.bincount(label).astype(np.float64)
     mean = np.stack([features[label == k].mean(axis=0) for k in range(len(names))])
+    spread = np.stack([np.cov(features[label == k].T, bias=True) for k in range(len(names))])
+    spread = spread.reshape(len(names), features.shape[1], features.shape[1])
     left = list(range(len(names)))
     while len(left) > 1:
-        square = ((mean[left][:, None] - mean[left]) ** 2).sum(axis=2)
-        np.fill_diagonal(square, np.inf)
-        first, second = (left[k] for k in np.unravel_index(int(square.argmin()), square.shape))
-        if square.min() >= least**2:
+        apart = _distance_over_one_mode(mean[left], spread[left])
+        first, second = (left[k] for k in np.unravel_index(int(apart.argmin()), apart.shape))
+        if apart.min() >= reach:
             break
-        share = size[second] / (size[first] + size[second])
-        mean[first] += share * (mean[second] - mean[first])
+        share, away = size[second] / (size[first] + size[second]), mean[second] - mean[first]
+        spread[first] += share * (spread[second] - spread[first])
+        spread[first] += share * (1.0 - share) * np.outer(away, away)
+        mean[first] += share * away
         size[first] += size[second]
         label[label == second] = first
         left.remove(second)
     return label
+
+
+def _distance_over_one_mode(mean: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Distances (K, K) of means (K, F) over the largest at which normal distributions of the spreads that
+    covariances (K, F, F) have along the line between them make one mode, whatever their shares; inf on the
+    diagonal."""
+    away = mean[:, None] - mean
+    distance = np.linalg.norm(away, axis=2)
+    line = away / np.maximum(distance, _NONE)[..., None]
+    along = np.maximum(np.einsum("ijf,ifg,ijg->ij", line, spread, line), 0.0)
+    found = distance / np.maximum(_span_of_one_mode(along, along.T), _NONE)
+    np.fill_diagonal(found, np.inf)
+    return found
+
+
+def _span_of_one_mode(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Distance of the means of two normal distributions of these variances up to which their mixture has one
+    mode, whatever their shares: two standard deviations of equal ones (Schilling and others 2002, "Is human
+    height bimodal?")."""
+    wide = np.maximum(first, second)
+    r = np.minimum(first, second) / np.maximum(wide, _NONE)
+    root, rest = 2.0 * (1.0 - r + r**2) ** 1.5, (1.0 + r) * (2.0 - r) * (1.0 - 2.0 * r)
+    # Both sides are root - rest; the left one keeps its digits for small r, where the right one has none.
+    square = np.where(r < 0.5, 27.0 * (r * (1.0 - r)) ** 2 / np.maximum(root + rest, 1.0), root - rest)
+    return np.sqrt(square * wide / np.maximum(r, _NONE))
 
 
 def _joined(
