@@ -14,9 +14,9 @@
 #include <vector>
 
 #include "mphygs/model.hpp"
+#include "mphygs/physics/evaluation.hpp"
 #include "mphygs/physics/observer.hpp"
 #include "mphygs/physics/point_hook.hpp"
-#include "mphygs/physics/registry.hpp"
 #include "mphygs/total_lagrangian/cell_springs.hpp"
 #include "mphygs/total_lagrangian/curved_grid.hpp"
 #include "mphygs/total_lagrangian/spline_tables.hpp"
