@@ -1,6 +1,7 @@
 // Curved grids: places are found, rigid motions cost nothing, uniform strains are seen as they are.
 #include <gtest/gtest.h>
 
+#include <Eigen/Dense>
 #include <cmath>
 
 #include "mphygs/total_lagrangian/model.hpp"
@@ -35,16 +36,15 @@ Geometry sheet() {
         for (int j = 1; j <= cells[1]; ++j) {
             CurvedCell cell;
             for (int a = 0; a < 27; ++a) {
-                cell.node.col(a) = bent(i + a / 9 - 1, j + (a / 3) % 3 - 1, a % 3);
+                Eigen::Map<Eigen::Vector3d>{cell.node[a]} = bent(i + a / 9 - 1, j + (a / 3) % 3 - 1, a % 3);
             }
             g.cell.insert(g.cell.end(), {i, j, 1});
             g.part.push_back(0);
             for (int q = 0; q < 8; ++q) {
                 const double s[3] = {q & 4 ? gauss : -gauss, q & 2 ? gauss : -gauss, q & 1 ? gauss : -gauss};
-                Eigen::Vector3d x;
-                Eigen::Matrix3d jacobian;
+                double x[3], jacobian[3][3];
                 cell.at(s, x, jacobian);
-                g.points.insert(g.points.end(), x.data(), x.data() + 3);
+                g.points.insert(g.points.end(), x, x + 3);
             }
         }
     }

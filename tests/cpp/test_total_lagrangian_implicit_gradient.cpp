@@ -135,16 +135,15 @@ void bend(Geometry& g, const TotalLagrangian<double>& straight) {
             const std::int32_t* cell = &cells[3 * (p / each)];
             CurvedCell curved;
             for (int a = 0; a < 27; ++a) {
-                curved.node.col(a) = place.at({cell[0] + a / 9 - 1, cell[1] + (a / 3) % 3 - 1, cell[2] + a % 3 - 1});
+                Eigen::Map<Eigen::Vector3d>{curved.node[a]} = place.at({cell[0] + a / 9 - 1, cell[1] + (a / 3) % 3 - 1, cell[2] + a % 3 - 1});
             }
             double s[3];
             for (std::size_t i = 0; i < 3; ++i) {
                 s[i] = (points[3 * p + i] - g.origin[i]) / g.spacing[i] - cell[i];
             }
-            Eigen::Vector3d x;
-            Eigen::Matrix3d jacobian;
+            double x[3], jacobian[3][3];
             curved.at(s, x, jacobian);
-            std::copy_n(x.data(), 3, &points[3 * p]);
+            std::copy_n(x, 3, &points[3 * p]);
         }
     };
     carry(g.points, g.cell, 8);

@@ -81,7 +81,7 @@ inline auto with_law(Law law, F&& f) {
 /// First Piola-Kirchhoff stress P = dW/dF [Pa].
 /// deformation: F [-]; mu, lambda: Lame's parameters [Pa].
 template <class S>
-inline Mat3<S> elastic_stress(Law law, const Mat3<S>& deformation, const S& mu, const S& lambda) {
+Mat3<S> elastic_stress(Law law, const Mat3<S>& deformation, const S& mu, const S& lambda) {
     return with_law(law, [&](auto tag) { return decltype(tag)::type::stress(deformation, mu, lambda); });
 }
 

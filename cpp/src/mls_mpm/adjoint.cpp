@@ -4,9 +4,13 @@
 #include "mphygs/mls_mpm/held_reverse.hpp"
 #include "mphygs/mls_mpm/start.hpp"
 #include "mphygs/mls_mpm/start_reverse.hpp"
+#include "mphygs/mls_mpm/value_run.hpp"
 #include "mphygs/mls_mpm/volume_reverse.hpp"
 
 namespace mphygs {
+
+MPHYGS_MLS_RUN(extern, float)
+MPHYGS_MLS_RUN(extern, double)
 
 namespace {
 

@@ -60,7 +60,7 @@ CurvedCell TotalLagrangian<T>::curved_cell(const std::int32_t* cell) const {
     CurvedCell curved;
     for (int a = 0; a < 27; ++a) {
         const std::size_t n = static_cast<std::size_t>(rows[static_cast<std::size_t>(a / 3)] + a % 3);
-        curved.node.col(a) = Eigen::Map<const Eigen::Vector3d>(&node_positions_[3 * n]);
+        std::copy_n(&node_positions_[3 * n], 3, curved.node[a]);
     }
     return curved;
 }

@@ -141,7 +141,7 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         if (is_curved(cell[0])) {
             const CurvedCell curved = curved_cell(cell);
             for (int i = 0; i < 81; ++i) {
-                key.push_back(std::llround((curved.node(i % 3, i / 3) - curved.node(i % 3, 13)) * 1e15));
+                key.push_back(std::llround((curved.node[i / 3][i % 3] - curved.node[13][i % 3]) * 1e15));
             }
             return key;
         }
@@ -253,8 +253,16 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
 
 template <class T>
 double TotalLagrangian<T>::extent() const {
-    const Eigen::Map<const Eigen::Matrix<double, 3, Eigen::Dynamic>> x(node_positions_.data(), 3, static_cast<Eigen::Index>(node_count()));
-    return (x.rowwise().maxCoeff() - x.rowwise().minCoeff()).norm();
+    double squares = 0.0;
+    for (std::size_t c = 0; c < 3; ++c) {
+        double low = node_positions_[c], high = low;
+        for (std::size_t n = 1; n < node_count(); ++n) {
+            low = std::min(low, node_positions_[3 * n + c]);
+            high = std::max(high, node_positions_[3 * n + c]);
+        }
+        squares += (high - low) * (high - low);
+    }
+    return std::sqrt(squares);
 }
 
 template <class T>

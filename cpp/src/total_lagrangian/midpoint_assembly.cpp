@@ -1,7 +1,11 @@
 // The matrix of an implicit step, cell by cell.
 #include "mphygs/total_lagrangian/midpoint_assembly.hpp"
+#include "mphygs/total_lagrangian/value_run.hpp"
 
 namespace mphygs {
+
+MPHYGS_TOTAL_LAGRANGIAN_RUN(extern, float)
+MPHYGS_TOTAL_LAGRANGIAN_RUN(extern, double)
 
 template <class T>
 std::unique_ptr<MidpointAssembly<T>> TotalLagrangian<T>::midpoint_assembly(const Fields<T>& fields, const Schedule& schedule, Team& team) const {

@@ -1,9 +1,10 @@
-// Rollouts of the total-Lagrangian transfer: values, adjoint, largest rates.
+// Rollouts of the total-Lagrangian transfer: values, adjoint.
 #include <cmath>
 #include <sstream>
 
 #include "mphygs/total_lagrangian/midpoint_reverse.hpp"
 #include "mphygs/total_lagrangian/rollout.hpp"
+#include "mphygs/total_lagrangian/value_run.hpp"
 
 namespace mphygs {
 
@@ -93,66 +94,6 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
     return force;
 }
 
-template <class T>
-std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields, int iterations, const PointHook<T>* hook) const {
-    check_body(fields);
-    geometry_.actuation.check_channels(fields.channel.size(), 1);
-    // One tangent substep from rest: with a unit step, du = 0 and dv = x gives the force on v,
-    // du = x gives the stiffness. No gravity, no hold: both only lower the frequencies.
-    Fields<T> value = fields;
-    std::fill(value.gravity.begin(), value.gravity.end(), T{});
-    value.displacement0.clear();
-    value.velocity0.clear();
-    value.node_force.clear();
-    value.target.clear();
-    std::array<double, 2> result{0, 0};
-    Inputs<T, 1> inputs;
-    inputs.primal = &value;
-    Fields<T> direction;  // empty: the perturbation is put into the state
-    inputs.direction[0] = &direction;
-    inputs.hook = hook;
-    const Schedule none;
-    Team alone;
-    TotalLagrangianRun<T, 1> run(*this, inputs, none, alone);
-    const std::vector<T> u = run.displacement();
-    const std::vector<T> v(u.size(), T{});
-    run.accelerations(1e-4);  // what the effects remember at rest
-    const auto history = run.history();
-    const std::size_t size = u.size() / 2;
-    const bool rates = sites_.rate || sites_.body || sites_.surface || sites_.point || hook;
-    for (std::size_t kind = 0; kind < (rates ? 2 : 1); ++kind) {
-        std::vector<T> x(size);
-        unsigned state = 12345;
-        for (std::size_t i = 0; i < size; ++i) {
-            state = state * 1664525u + 1013904223u;
-            x[i] = run.mass()[i % (size / 3)] > T{} ? static_cast<T>(state) / T(4294967296.0) - T(0.5) : T{};
-        }
-        for (int i = 0; i < iterations; ++i) {
-            double norm = 0;
-            for (const T e : x) {
-                norm += static_cast<double>(e) * static_cast<double>(e);
-            }
-            norm = std::sqrt(norm);
-            result[kind] = i == 0 ? 0.0 : norm;
-            if (norm == 0) {
-                break;
-            }
-            run.displacement() = u;
-            run.velocity() = v;
-            run.history() = history;
-            std::vector<T>& perturbed = kind == 0 ? run.displacement() : run.velocity();
-            for (std::size_t k = 0; k < size; ++k) {
-                perturbed[size + k] = static_cast<T>(static_cast<double>(x[k]) / norm);
-            }
-            run.accelerations(1e-4);
-            for (std::size_t k = 0; k < size; ++k) {
-                x[k] = -run.velocity()[size + k];
-            }
-        }
-    }
-    return result;
-}
-
 #define MPHYGS_INSTANTIATE(T)                                                                                             \
     template SimulationError TotalLagrangian<T>::failure(const std::vector<T>&, int, double) const;                       \
     template std::vector<T> TotalLagrangian<T>::node_mass(const Fields<T>&) const;                                        \
@@ -160,10 +101,11 @@ std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>& fields,
                                                          const Observer*) const; \
     template Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>&, const Schedule&, const Trajectory<T>&, const Progress&, long*, \
                                                    const PointHook<T>*, const Observer*) const; \
-    template std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>&) const;                                      \
-    template std::array<double, 2> TotalLagrangian<T>::largest_rates(const Fields<T>&, int, const PointHook<T>*) const;
+    template std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>&) const;
 MPHYGS_INSTANTIATE(float)
 MPHYGS_INSTANTIATE(double)
+MPHYGS_TOTAL_LAGRANGIAN_RUN(, float)
+MPHYGS_TOTAL_LAGRANGIAN_RUN(, double)
 #undef MPHYGS_INSTANTIATE
 
 }  // namespace mphygs

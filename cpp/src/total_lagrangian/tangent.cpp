@@ -4,8 +4,12 @@
 #include "mphygs/total_lagrangian/direction_loads.hpp"
 #include "mphygs/total_lagrangian/direction_midpoint.hpp"
 #include "mphygs/total_lagrangian/rollout.hpp"
+#include "mphygs/total_lagrangian/value_run.hpp"
 
 namespace mphygs {
+
+MPHYGS_TOTAL_LAGRANGIAN_RUN(extern, float)
+MPHYGS_TOTAL_LAGRANGIAN_RUN(extern, double)
 
 namespace {
 
@@ -70,30 +74,7 @@ std::vector<Trajectory<T>> TotalLagrangian<T>::tangent(const Fields<T>& fields, 
         }
         const bool alone = wanted == 1 && !schedule.implicit && (added.empty() || added[done].active.empty());
         // A single direction is quicker beside the values, point after point.
-        const auto single = [&] {
-            auto trajectories = room<T>(2, numbers);
-            Inputs<T, 1> inputs;
-            inputs.primal = &fields;
-            inputs.direction[0] = &directions[done];
-            inputs.hook = hook;
-            inputs.observer = observer;
-            inputs.first_direction = static_cast<int>(done);
-            Team::run(settings_.threads, [&](Team& team) {
-                TotalLagrangianRun<T, 1> run(*this, inputs, schedule, team);
-                const auto keep = [&](std::size_t f) {
-                    for (int l = 0; l < 2; ++l) {
-                        Trajectory<T>& t = trajectories[static_cast<std::size_t>(l)];
-                        run.output(l, &t.displacement[f * size], &t.velocity[f * size]);
-                    }
-                };
-                roll(run, schedule, progress, keep, [&](int f, double time) { return failure(run.displacement(), f, time); });
-                for (int l = 0; l < 2; ++l) {
-                    trajectories[static_cast<std::size_t>(l)].reaction = run.reaction(l);
-                }
-            });
-            return trajectories;
-        };
-        auto part = alone ? single() : in_lanes<T>(wanted, [&]<int L>(std::integral_constant<int, L>) {
+        auto part = alone ? tangent_of_one(fields, directions[done], static_cast<int>(done), schedule, progress, hook, observer) : in_lanes<T>(wanted, [&]<int L>(std::integral_constant<int, L>) {
             auto trajectories = room<T>(1 + wanted, numbers);
             Team::run(settings_.threads, [&](Team& team) {
                 TotalLagrangianDirections<T, L> run(*this, fields, some, theirs, hook, observer, static_cast<int>(done), schedule, team);

@@ -17,8 +17,8 @@
 #include <vector>
 
 #include "mphygs/model.hpp"
+#include "mphygs/physics/evaluation.hpp"
 #include "mphygs/physics/observer.hpp"
-#include "mphygs/physics/registry.hpp"
 
 namespace mphygs {
 

@@ -269,4 +269,11 @@ class ObserverRows {
     std::vector<T> pack_weight_;                          // (channels of all packs, numbers to each G, 8)
 };
 
+// Compiled once, in src/physics/observer_rows.cpp.
+#define MPHYGS_OBSERVER_ROWS(keyword, T)                                                                                    \
+    keyword template void ObserverRows<T>::pull(Team&, T, const std::vector<const T*>&, const std::vector<T*>&) const;     \
+    keyword template void ObserverRows<T>::pull_bar(T, const T*, std::vector<T>&) const;
+MPHYGS_OBSERVER_ROWS(extern, float)
+MPHYGS_OBSERVER_ROWS(extern, double)
+
 }  // namespace mphygs

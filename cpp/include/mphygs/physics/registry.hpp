@@ -118,7 +118,7 @@ inline void all_uniforms(const Slots& slots, const U* parameters, typename Scala
 /// Stress (and body acceleration) of a volume point: the law and every active volume effect.
 /// history, history_next: this point's numbers, all active effects one after the other.
 template <class S>
-inline void evaluate_volume(const Slots& slots, const S* uniforms, VolumePoint<S>& p, const S* history, S* history_next) {
+void evaluate_volume(const Slots& slots, const S* uniforms, VolumePoint<S>& p, const S* history, S* history_next) {
     p.elastic = p.deformation;
     p.factor = Mat3<S>::identity();
     p.strained = false;
@@ -222,7 +222,7 @@ class LinearisedEffects {
 };
 
 template <class S>
-inline Vec3<S> evaluate_body(const Slots& slots, const S* uniforms, const BodyPoint<S>& p) {
+Vec3<S> evaluate_body(const Slots& slots, const S* uniforms, const BodyPoint<S>& p) {
     Vec3<S> a;
     Registry::each([&](auto tag, int i) {
         using E = typename decltype(tag)::type;
@@ -237,7 +237,7 @@ inline Vec3<S> evaluate_body(const Slots& slots, const S* uniforms, const BodyPo
 }
 
 template <class S>
-inline Vec3<S> evaluate_surface(const Slots& slots, const S* uniforms, const SurfacePoint<S>& p) {
+Vec3<S> evaluate_surface(const Slots& slots, const S* uniforms, const SurfacePoint<S>& p) {
     Vec3<S> f;
     Registry::each([&](auto tag, int i) {
         using E = typename decltype(tag)::type;

@@ -12,7 +12,6 @@
 // is the share of the cell with material: a thin sheet's bending, which goes with its square, stays softer than the rest.
 #pragma once
 
-#include <Eigen/Dense>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -21,9 +20,14 @@
 
 namespace mphygs {
 
+inline constexpr int cell_shapes = 7;
+
+/// w_1 to w_7. share: n_a; slopes: of N_a at the eight points along the three axes, in spacings.
+void flat_shapes(const double (&share)[27], const double (&slopes)[24][27], double (&shape)[cell_shapes][27]);
+
 template <class T>
 struct CellSprings {
-    static constexpr int shapes = 7;
+    static constexpr int shapes = cell_shapes;
 
     CellSprings() = default;
 
@@ -31,31 +35,18 @@ struct CellSprings {
     CellSprings(const ValueTable<T>& value, const GradientTable<T>& gradient, const double spacing[3], double filled) {
         const double h = std::min({spacing[0], spacing[1], spacing[2]});
         stiffness = static_cast<T>(filled * filled / (h * h));
-        using Nodes = Eigen::Matrix<double, 27, 1>;
-        Nodes root;
-        Eigen::Matrix<double, 27, 10> polynomials;
-        Eigen::Matrix<double, 24, 27> slopes;
+        double share[27], slopes[24][27];
         for (int a = 0; a < 27; ++a) {
-            const double x = a / 9 - 1, y = (a / 3) % 3 - 1, z = a % 3 - 1;
-            root[a] = std::max(std::sqrt(static_cast<double>(sum_lanes<T>(value.by_node[a])) / lane_count), 1e-9);
-            polynomials.row(a) << 1, x, y, z, x * x, y * y, z * z, x * y, y * z, z * x;
-            polynomials.row(a) *= root[a];
+            share[a] = static_cast<double>(sum_lanes<T>(value.by_node[a])) / lane_count;
             for (int i = 0; i < 24; ++i) {
-                slopes(i, a) = static_cast<double>(gradient.by_node[a][i % 3][i / 3]) * spacing[i % 3] / root[a];
+                slopes[i][a] = static_cast<double>(gradient.by_node[a][i % 3][i / 3]) * spacing[i % 3];
             }
         }
-        // In coordinates of length root[a] u_a: what has least slope (and the constant), and of that what no polynomial is.
-        const Eigen::MatrixXd flat =
-            Eigen::JacobiSVD<Eigen::MatrixXd>(slopes, Eigen::ComputeFullV).matrixV().rightCols<shapes + 1>();
-        const Eigen::Matrix<double, 27, 10> q =
-            polynomials.householderQr().householderQ() * Eigen::Matrix<double, 27, 10>::Identity();
-        const Eigen::MatrixXd beside = flat - q * (q.transpose() * flat);
-        const Eigen::JacobiSVD<Eigen::MatrixXd> svd(beside, Eigen::ComputeThinU);
+        double found[shapes][27];
+        flat_shapes(share, slopes, found);
         for (int a = 0; a < 27; ++a) {
             for (int k = 0; k < shapes; ++k) {
-                if (svd.singularValues()[k] > 0.1) {  // else it is next to a polynomial
-                    shape[k][a / 3 * 4 + a % 3] = static_cast<T>(root[a] * svd.matrixU()(a, k));
-                }
+                shape[k][a / 3 * 4 + a % 3] = static_cast<T>(found[k][a]);
             }
         }
     }

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "mphygs/physics/registry.hpp"
+#include "mphygs/physics/evaluation.hpp"
 #include "mphygs/total_lagrangian/equilibrium.hpp"
 
 namespace mphygs {

@@ -14,9 +14,9 @@
 #include <vector>
 
 #include "mphygs/model.hpp"
+#include "mphygs/physics/evaluation.hpp"
 #include "mphygs/physics/observer.hpp"
 #include "mphygs/physics/point_hook.hpp"
-#include "mphygs/physics/registry.hpp"
 #include "mphygs/total_lagrangian/cell_springs.hpp"
 #include "mphygs/total_lagrangian/curved_grid.hpp"
 #include "mphygs/total_lagrangian/spline_tables.hpp"
@@ -108,6 +108,9 @@ class TotalLagrangian {
     void check_body(const Fields<T>& fields) const;
 
   private:
+    /// The trajectory and its derivative in a single direction of an explicit run, `number` of those asked for.
+    std::vector<Trajectory<T>> tangent_of_one(const Fields<T>& fields, const Fields<T>& direction, int number, const Schedule& schedule,
+                                              const Progress& progress, const PointHook<T>* hook, const Observer* observer) const;
     template <class U, int K>
     friend class TotalLagrangianForces;
     template <class U, int K>
