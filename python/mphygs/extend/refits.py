@@ -42,11 +42,9 @@ SIGNIFICANT, LEAST_DROP = 1e-3, 16.0
 NEAR_BEST, LAST_RESORT = 0.2, 2
 WORTH_A_REFIT = {"smooth": 0.15, "measurement": 0.15, "threshold": 0.03}
 # Up to so many sigma an effect may bring so many times what its tangents promise, fewer times where the best
-# one is at the noise; one that would not come near the best one even then is not begun. What sets in has no
-# tangents.
+# one is at the noise; one that would not come near the best one even then is not begun, unless an effect was
+# seen to bring more: tangents are no measure then. What sets in has no tangents.
 TELLING, BEYOND_TANGENTS, BEYOND_NOISE = 4.0, 3.0, 2.0
-# Unless one that promised hardly more comes near: then tangents promise too little. This share is as much.
-AS_MUCH = 0.9
 # An effect that leaves so many times the best one's chi^2 after an iteration that brings little is not
 # followed.
 HOPELESS = 10.0
@@ -212,14 +210,14 @@ def _begun_only(fit: Solution, share: float) -> str:
 
 def _far_behind(entry: RankedEffect, ranking: Ranking, begun: Sequence[Begun]) -> bool:
     """Whether an entry stays behind what is reached even if it brings many times its promise; not where one
-    that promised hardly more is near the best already."""
+    that was begun has brought more times its own."""
     best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
     times = BEYOND_TANGENTS if best > BUDGET_FLOOR * ranking.rows else BEYOND_NOISE
     least = ranking.chi_square - times * entry.statistic
     telling = entry.kind != "threshold" and ranking.chi_square < TELLING**2 * ranking.rows
-    promised_too_little = any(
-        AS_MUCH * other.statistic < entry.statistic
+    brought_more = any(
+        ranking.chi_square - chi_square > times * other.statistic
         for chi_square, other, _ in begun
-        if other.kind != "threshold" and chi_square < ALIKE * best
+        if other.kind != "threshold"
     )
-    return telling and least > ALIKE * best and not promised_too_little
+    return telling and least > ALIKE * best and not brought_more
