@@ -76,7 +76,7 @@ def alone(captures: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dic
         (["a", "--command", "fit", "--workers", "0"], "--workers: got 0"),
         (["a", "--command", "fit", "--scheduler", "here"], "--scheduler: got 'here'"),
         (["a", "--command", "fit", "--scheduler", "here:1", "--workers", "2"], "not with --scheduler"),
-        (["a", "--command", "fit", "--", "--bogus", "3"], "after --: Unrecognized options"),
+        (["a", "--command", "fit", "--", "--bogus", "3"], "after --: Unrecognized options: --bogus"),
         (["a", "--command", "fit", "--", "--out", "x"], "after --: got --out"),
         (["a", "--command", "fit", "--", "--workers=3"], "after --: got --workers=3"),
         (["a", "--command", "fit", "--", "--plugin", "x.py"], "after --: got --plugin"),
