@@ -87,7 +87,8 @@ def read_options(
         if stop.code in (0, None):
             return None
         complaint = heard.getvalue().split("For full helptext")[0]
-        # The parser draws its complaint in a box, below a title that says less.
-        complaint = re.sub(r"(?m)^(\x1b\[[0-9;]*m)*╭.*$", "", complaint)
-        words = re.sub(r"[─-╿]+|-{3,}", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
+        # The parser draws its complaint in a box, or ruled off, below a title that says less.
+        plain = re.sub(r"[─-╿]+|-{3,}", " ", re.sub(r"\x1b\[[0-9;]*m", "", complaint))
+        title, *lines = [line for line in plain.splitlines() if line.strip()]
+        words = " ".join(lines) or title
         raise OptionError(f"{one_line(words)} (see {program} --help)") from None
