@@ -249,7 +249,9 @@ def test_a_middle_surface_is_given_its_thickness(tmp_path: Path) -> None:
     stored(tmp_path, mesh)
     entry = {"name": "a", "mesh": "m.ply", "thickness": 1e-5, "scale": 1e-3}
     part = read_part(tmp_path, Entry(entry, "capture.json", "part"))
-    assert part.shape == "shell"
+    assert part.shape == "shell" and part.thickness_std == 0.0
+    unsure = read_part(tmp_path, Entry(entry | {"thickness_std": 2e-6}, "capture.json", "part"))
+    assert unsure.thickness_std == 2e-6
     assert part.volume == pytest.approx(1e-5 * mesh.area * 1e-6, rel=1e-3)
     assert trimesh.Trimesh(part.vertices, part.faces, process=False).is_volume
 
@@ -260,6 +262,9 @@ def test_a_middle_surface_is_given_its_thickness(tmp_path: Path) -> None:
         ({"thickness": 0.0002}, "is closed, and has no middle surface"),
         ({"thickness": 0.0}, "part.thickness"),
         ({"thickness": 0.0002, "as": "rod"}, "a rod's mesh is closed"),
+        ({"thickness_std": 1e-5}, 'the part is "as": "solid"; expected "as": "rod" or "shell" beside it'),
+        ({"thickness_std": 1e-5, "as": "auto"}, "rod"),
+        ({"thickness_std": -1e-5, "as": "shell"}, "part.thickness_std"),
         ({"as": "membrane"}, "expected one of solid, shell, rod, auto"),
     ],
 )

@@ -923,10 +923,10 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
         allowed.append((iterations, accuracy))
         return solution_of(before.belief, evaluation_of(chi_squares[entry.effect]))
 
-    placed: list[int] = []
+    placed: list[tuple[int, bool]] = []
 
-    def at_their_places(_e: object, begun: list[tuple], *_: object) -> list[tuple]:
-        placed.append(len(begun))
+    def at_their_places(_e: object, begun: list[tuple], *_: object, anywhere: bool) -> list[tuple]:
+        placed.append((len(begun), anywhere))
         return begun
 
     monkeypatch.setattr(refits, "start_refit", start_refit)
@@ -948,7 +948,7 @@ def test_from_afar_no_first_iteration_says_who_leads(afar: bool, monkeypatch: py
     assert bounds == ([np.inf] * 3 if afar else [np.inf, np.inf, refits.HOPELESS * 400.0])
     far, near = (refits.FIRST_AFAR, refits.ACCURACY_AFAR), (refits.FIRST, refits.ACCURACY)
     assert allowed == [far if afar else near] * 3
-    assert placed == ([3] if afar else []) and lent == ([(3, *far)] if afar else [])
+    assert placed == [(3, afar)] and lent == ([(3, *far)] if afar else [])
 
 
 @pytest.mark.parametrize(("best", "behind"), [(1200.0, False), (1100.0, True)])

@@ -19,6 +19,7 @@ from mphygs.simulate.body import Body
 from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.prediction import Prediction, Predictor
+from mphygs.simulate.section import part_mass
 from mphygs.simulate.settings import Settings
 from mphygs.simulate.timeline import Timeline
 from mphygs.simulate.transfer import Start
@@ -106,7 +107,7 @@ class Mover(Learned):
         """Of the object [kg], as known or as a belief has it."""
         if belief.known_mass is not None:
             return belief.known_mass
-        return sum(part.volume * belief[f"{part.name}.density"].value for part in self.capture.parts)
+        return sum(part_mass(belief, part) for part in self.capture.parts)
 
     def slopes(self, belief: Belief, last: int, keys: Sequence[str], like: np.ndarray) -> np.ndarray:
         """(T, M, 3, K) derivative of the positions by the coordinates of `keys`. like: (T, M, 3)."""

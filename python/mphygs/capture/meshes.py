@@ -18,6 +18,7 @@ from mphygs.capture.written import replace_file
 
 # What a part may be simulated as, as files state it.
 _SHAPES = ("solid", "shell", "rod", "auto")
+_THIN = ("shell", "rod")
 _MOST_BODIES = 500
 _PROBED = 20  # corners of a body that are looked at
 # Of the whole volume, that bodies may share: where they are stuck into one another a little.
@@ -32,7 +33,8 @@ class Part:
 
     vertices: (V, 3) float64 [m], merged; faces: (F, 3) int64, closed, outward, volume above zero; boundary:
     standard deviation of where all of its surface lies along its normal [m], 0 where the mesh is given;
-    shape: what it is simulated as, "solid", "rod", "shell" or "auto".
+    shape: what it is simulated as, "solid", "rod", "shell" or "auto"; thickness_std: of a rod or a shell, how
+    far its thickness may be from the mesh's, one standard deviation [m], 0 where it is known.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Part:
     faces: np.ndarray
     boundary: float = 0.0
     shape: str = "solid"
+    thickness_std: float = 0.0
 
     @property
     def area(self) -> float:
@@ -60,8 +63,9 @@ class Part:
 
 def read_part(folder: Path, entry: Entry) -> Part:
     """The part that an element of `object.parts` describes: `name`, `mesh`, `scale` (1 when absent), `as`
-    ("solid" when absent), `thickness` [m] where the mesh is the middle surface of a sheet."""
-    entry.check_keys(required=("name", "mesh"), optional=("scale", "as", "thickness"))
+    ("solid" when absent), `thickness` [m] where the mesh is the middle surface of a sheet, `thickness_std`
+    [m] of what is a rod or a shell."""
+    entry.check_keys(required=("name", "mesh"), optional=("scale", "as", "thickness", "thickness_std"))
     name = entry["name"].name()
     shape = given.choice(_SHAPES) if (given := entry.get("as")) else "solid"
     scale = 1.0
@@ -76,7 +80,12 @@ def read_part(folder: Path, entry: Entry) -> Part:
         shape = "shell" if not entry.get("as") else shape
     else:
         vertices, faces = read_mesh(path)
-    return Part(name=name, vertices=vertices * scale, faces=faces, shape=shape)
+    unsure = 0.0
+    if std := entry.get("thickness_std"):
+        if shape not in _THIN:
+            raise std.fault(f'the part is "as": "{shape}"', '"as": "rod" or "shell" beside it')
+        unsure = std.within(0.0, 1.0, "a length, zero or more [m]")
+    return Part(name=name, vertices=vertices * scale, faces=faces, shape=shape, thickness_std=unsure)
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:

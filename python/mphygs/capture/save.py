@@ -138,7 +138,8 @@ def _write_actuator(actuator: Actuator, sequence: str, folder: Path) -> dict[str
 
 
 def _shape_of(part: Part) -> dict:
-    return {} if part.shape == "solid" else {"as": part.shape}
+    unsure = {"thickness_std": part.thickness_std} if part.thickness_std else {}
+    return unsure | ({} if part.shape == "solid" else {"as": part.shape})
 
 
 def _copy(source: Path, target: Path) -> str:

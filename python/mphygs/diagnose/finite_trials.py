@@ -18,6 +18,7 @@ from mphygs.fit.placement import weights_of_loads
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.model.belief import Belief
 from mphygs.model.descriptor import EffectSpec
+from mphygs.simulate.section import part_mass
 
 # How far a hold gives way under the object's weight, of the object's diagonal.
 YIELDING = (3e-4, 1e-3, 3e-3, 1e-2)
@@ -72,7 +73,7 @@ def hold_trials(spec: EffectSpec, capture: Capture, belief: Belief) -> list[Tria
     if not any(s.held for s in capture.sequences):
         return []
     gravity = float(np.linalg.norm(belief.gravity)) or 9.81
-    mass = sum(part.volume * belief[f"{part.name}.density"].value for part in capture.parts)
+    mass = sum(part_mass(belief, part) for part in capture.parts)
     trials = []
     for p in spec.of_role("strength"):
         for share in YIELDING if p.unit == "m/N" else ():

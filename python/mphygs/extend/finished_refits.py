@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 
 import numpy as np
 
@@ -15,16 +14,10 @@ from mphygs.extend.step import Step
 from mphygs.extend.window_continuation import BEHIND, FINISHED, Begun
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.place_fit import movable, relocated
 from mphygs.fit.schedule import SCREENING_ACCURACY
-from mphygs.fit.side_by_side import side_by_side
-from mphygs.simulate.errors import SimulationError
 
 # Beyond FINISHED of them, those within a factor of the best chi^2 are brought to the end.
 NEARLY = 1.25
-# Where the best one is at the floor, an effect whose place is not fitted yet may leave so many times as much
-# beyond noise as rivals may.
-MISPLACED_BEYOND = 10.0
 
 
 def finish_closest(
@@ -59,7 +52,6 @@ def finish_closest(
                 "in the worst range"
             )
 
-    rest: Sequence[Begun] = ()
     for number, (chi_square, entry, solution) in enumerate(begun):
         # What the coarse grid has of its own may put the true effect a little behind.
         # Only one that pays ends the search.
@@ -69,44 +61,14 @@ def finish_closest(
         else:
             ends = chi_square > (behind if number < FINISHED else NEARLY) * begun[0][0]
         if ends:
-            rest = begun[number:]
             break
         finish(entry, solution)
-    if near and rest and not any(_at_noise(r) for r in finished):
-        for _, entry, solution in _put_right(experiment, begun, rest, spacing, say):
-            finish(entry, solution)
     return finished
 
 
 def _at_noise(refit: Refit) -> bool:
     """Whether a refit pays and leaves noise alone."""
     return refit.pays and refit.assessment.worst <= AT_FLOOR
-
-
-def _put_right(
-    experiment: Experiment,
-    begun: Sequence[Begun],
-    rest: Sequence[Begun],
-    spacing: float,
-    say: Callable[[str], None],
-) -> list[Begun]:
-    """Of refits that are too far behind the best to be brought to the end, those that are not once their
-    place is fitted: a place is proposed from a few, half a cell from its own or more. None where even the
-    best leaves more than rivals may."""
-    rows = begun[0][2].evaluation.data_rows
-    least = ALIKE_EXCESS * rows
-    if begun[0][0] - rows > least:
-        return []
-    near = [i for i in rest if movable(i[2].belief) and i[0] - rows <= MISPLACED_BEYOND * least]
-
-    def relocate(twin: Experiment, item: Begun) -> Begun:
-        _, entry, fit = item
-        with suppress(SimulationError):
-            fit = relocated(twin.problem(spacing), fit, report=say)
-        return fit.evaluation.chi_square, entry, fit
-
-    placed = side_by_side(experiment, relocate, near)
-    return [item for item in placed if item[0] - rows <= BEHIND * least]
 
 
 def _worth_the_end(

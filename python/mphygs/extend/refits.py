@@ -169,8 +169,9 @@ def _refits(
             else:
                 fates[entry.effect] = "cannot be simulated from its estimate"
         countdown.done(len(wave))
+    # An effect at a wrong place is not what the others are to be held against.
+    begun = with_places_fitted(experiment, begun, window[0], spacing, say, anywhere=afar)
     if afar:
-        begun = with_places_fitted(experiment, begun, window[0], spacing, say)
         begun = restarted_from_best_materials(
             experiment, begun, window[0], spacing, generator.spawn(1)[0], say,
             iterations=iterations, accuracy=accuracy,

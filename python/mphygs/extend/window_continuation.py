@@ -14,7 +14,7 @@ from mphygs.extend.relocation import AT_NOISE, relocated_anywhere
 from mphygs.fit.countdown import Countdown
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.place_fit import movable
+from mphygs.fit.place_fit import movable, relocated
 from mphygs.fit.side_by_side import side_by_side, waves
 from mphygs.simulate.errors import SimulationError
 
@@ -41,9 +41,13 @@ def with_places_fitted(
     share: float,
     spacing: float,
     say: Callable[[str], None],
+    *,
+    anywhere: bool = True,
 ) -> list[Begun]:
-    """The refits, those that are not far behind with their places fitted: where other materials proposed them
-    they may be far from their own."""
+    """The refits, those that are not far behind with their places fitted: proposed from a few, a place is
+    half a cell from its own or more. anywhere: also from places around and all over the object: where other
+    materials proposed it, it may be far from its own."""
+    fitted = relocated_anywhere if anywhere else relocated
     best = min((chi_square for chi_square, _, _ in begun), default=np.inf)
 
     def relocate(twin: Experiment, item: Begun) -> Begun:
@@ -51,7 +55,7 @@ def with_places_fitted(
         if chi_square > MISPLACED * best or not movable(fit.belief):
             return item
         try:
-            fit = relocated_anywhere(twin.window(spacing, share), fit, report=say)
+            fit = fitted(twin.window(spacing, share), fit, report=say)
         except SimulationError:
             return item
         return fit.evaluation.chi_square, entry, fit

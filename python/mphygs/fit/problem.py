@@ -18,6 +18,7 @@ from mphygs.simulate.errors import SimulationError
 from mphygs.simulate.feedback import Feedback
 from mphygs.simulate.instruments import Reading
 from mphygs.simulate.prediction import Maker, Predictor
+from mphygs.simulate.section import mass_power, part_mass
 from mphygs.simulate.settings import Settings
 
 # Relative accuracy to which a stated mass of the whole object is held.
@@ -224,14 +225,12 @@ class Problem:
         """The stated mass of the whole object as one more measurement."""
         if belief.known_mass is None:
             return residual, jacobian
-        volume = {part.name: part.volume for part in self.capture.parts}
-        masses = {name: belief[f"{name}.density"].value * volume[name] for name in belief.parts}
+        parts = {part.name: part for part in self.capture.parts if part.name in belief.parts}
+        masses = {name: part_mass(belief, part) for name, part in parts.items()}
         scale = 1.0 / (MASS_TOLERANCE * belief.known_mass)
         row = np.array(
             [
-                masses[p.key.rsplit(".", 1)[0]] * scale
-                if p.key.endswith(".density") and p.key.rsplit(".", 1)[0] in masses
-                else 0.0
+                sum(masses[name] * mass_power(p, part) * scale for name, part in parts.items())
                 for p in belief.free
             ]
         )

@@ -177,6 +177,8 @@ def capture_digest(capture: Capture) -> str:
     add(capture.known.poissons_ratio, capture.known.mass)
     for part in capture.parts:
         add(part.name, part.vertices, part.faces)
+        if part.shape != "solid":
+            add(part.shape, part.thickness_std)
     for recording in capture.sequences:
         add(
             recording.name,

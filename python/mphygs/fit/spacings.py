@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq
 
 from mphygs.capture.format import Capture
-from mphygs.scene.particles import cell_count
+from mphygs.scene.spacing_worth import spacing_worth
 
 # Cells that an object of default spacing is worth: about 250 of its volume, and of its sheets and rods.
 DEFAULT_CELLS = 250
@@ -20,31 +19,14 @@ FINE = 1.1
 
 def default_spacing(capture: Capture) -> float:
     """Grid spacing that gives about DEFAULT_CELLS full cells of material [m], two digits."""
-    spacing = _worth(capture, DEFAULT_CELLS)
+    spacing = spacing_worth(capture.parts, DEFAULT_CELLS)
     digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)
     return float(np.round(spacing / digits) * digits)
 
 
-def _worth(capture: Capture, cells: float) -> float:
-    """The spacing of which an object is worth so many cells [m]."""
-    volume = sum(part.volume for part in capture.parts)
-    full = (volume / cells) ** (1.0 / 3.0)
-    if all(part.shape == "solid" for part in capture.parts):
-        return full
-
-    def excess(spacing: float) -> float:
-        return float(np.log(sum(cell_count(part, spacing) for part in capture.parts) / cells))
-
-    # A sheet of cells thicker than it is worth more of them than its volume: this is the finest it can be.
-    high = full
-    while excess(high) > 0.0:
-        high *= 2.0
-    return high if high == full else float(brentq(excess, 0.5 * high, high, rtol=1e-3))
-
-
 def check_spacing(capture: Capture, spacing: float, where: str) -> None:
     """Raises ValueError, beginning with `where`, for a grid of more cells than fit into memory."""
-    finest = _worth(capture, MOST_CELLS)
+    finest = spacing_worth(capture.parts, MOST_CELLS)
     if spacing < finest:
         raise ValueError(
             f"{where}: got {spacing:g} m; expected {finest:.2g} m or more, {MOST_CELLS:.0e} cells of material"

@@ -7,11 +7,14 @@ import math
 import numpy as np
 
 from mphygs.capture.format import Capture
+from mphygs.capture.meshes import Part
 from mphygs.fit.actuator_parameters import actuator_parameters
 from mphygs.fit.first_frames import start_parameters
 from mphygs.model.belief import Belief, Parameter
 from mphygs.model.registry import USUAL_LAW, material_effects
 from mphygs.model.substances import substances_by_part
+from mphygs.scene.curved_quadrature import thickness_of
+from mphygs.simulate.section import QUANTITY
 
 # Soft tissue and plants to hard rubber; a prior this wide moves no number that the data determine.
 YOUNGS_MODULUS_MEDIAN, YOUNGS_MODULUS_SPREAD = 1e5, 2.5
@@ -19,6 +22,8 @@ DENSITY_SPREAD = 0.5
 # Where a density or the mass is known, the other parts are within this factor of it: a model that lacks
 # an effect would otherwise buy it with absurd inertia.
 DENSITY_FACTOR = 4.0
+# How far the thickness of a rod or a shell may be from its mesh's.
+THICKNESS_FACTOR = 3.0
 DEFAULT_POISSONS_RATIO = 0.4
 DEFAULT_DENSITY = 1000.0
 # How far the true start of a motion may be from the stated release [frames].
@@ -96,6 +101,8 @@ def starting_belief(
                 free=False,
             ),
         ]
+        if part.thickness_std > 0.0:
+            parameters.append(_thickness(part))
     for recording in capture.sequences:
         if recording.release is not None:
             frame = 1.0 / recording.fps
@@ -126,6 +133,21 @@ def starting_belief(
     for name in effects:
         belief = with_effect(belief, name)
     return belief
+
+
+def _thickness(part: Part) -> Parameter:
+    """How thick a rod or a shell is [m], about its mesh's thickness."""
+    middle = thickness_of(part)
+    return Parameter(
+        f"{part.name}.{QUANTITY}",
+        middle,
+        "m",
+        middle / THICKNESS_FACTOR,
+        middle * THICKNESS_FACTOR,
+        log=True,
+        prior_mean=math.log(middle),
+        prior_std=part.thickness_std / middle,
+    )
 
 
 def with_effect(belief: Belief, name: str) -> Belief:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +12,8 @@ from scipy.spatial import cKDTree
 _STEPS = np.indices((3, 3, 3)).reshape(3, -1).T - 1
 # Points looked at together by Newton's method, its last step in cells and how often it is tried.
 _POINTS_AT_ONCE, _TIGHT, _MOST = 20_000, 1e-8, 60
+# Points whose sums over nodes are taken together: what these need stays in a cache.
+_SUMMED_AT_ONCE = 512
 # Places of a cell from which the search for a point may begin.
 _BEGINNINGS = np.array([-1.0 / 3.0, 0.0, 1.0 / 3.0])
 
@@ -49,24 +52,36 @@ class Chart:
 
     def to_space(self, s: np.ndarray) -> np.ndarray:
         """(M, 3) places [m] of coordinates (M, 3) [cells]."""
-        return self._at(s, self.cell_of(s))[0]
+        return self._sums(s, (0,))[:, 0]
 
     def jacobian(self, s: np.ndarray) -> np.ndarray:
         """(M, 3, 3) dX/ds at coordinates (M, 3) [m]."""
-        return self._at(s, self.cell_of(s))[1]
+        return np.swapaxes(self._sums(s, (1, 2, 3)), 1, 2)
 
-    def _at(self, s: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = s - cell
-        value = np.stack([0.5 * (0.5 - own) ** 2, 0.75 - own**2, 0.5 * (0.5 + own) ** 2])
-        slope = np.stack([own - 0.5, -2.0 * own, own + 0.5])
-        weight = np.empty((len(s), 4, 27))  # of places, and of their slopes along the three axes
-        for k in range(4):
-            x, y, z = (slope[..., c] if k == c + 1 else value[..., c] for c in range(3))
-            plane = x[:, None] * y[None]
-            weight[:, k] = np.moveaxis((plane[:, :, None] * z).reshape(27, -1), 0, 1)
-        node = cell[:, None] + _STEPS  # (M, 27, 3)
-        sums = weight @ self.control[node[..., 0], node[..., 1], node[..., 2]]  # (M, 4, 3)
+    def _at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places and slopes, as `to_space` and `jacobian` give them."""
+        sums = self._sums(s, (0, 1, 2, 3))
         return sums[:, 0], np.swapaxes(sums[:, 1:], 1, 2)
+
+    def _sums(self, s: np.ndarray, wanted: Sequence[int]) -> np.ndarray:
+        """(M, W, 3) places (0) and slopes along the axes (1, 2, 3), as wanted, at coordinates (M, 3)."""
+        found = np.empty((len(s), len(wanted), 3))
+        nodes = self.control.reshape(-1, 3)
+        stride = np.array([self.control.shape[1] * self.control.shape[2], self.control.shape[2], 1])
+        around = _STEPS @ stride
+        for start in range(0, len(s), _SUMMED_AT_ONCE):
+            some = s[start : start + _SUMMED_AT_ONCE]
+            cell = self.cell_of(some)
+            own = (some - cell).T
+            value = np.stack([0.5 * (0.5 - own) ** 2, 0.75 - own**2, 0.5 * (0.5 + own) ** 2])  # (3, 3, m)
+            slope = np.stack([own - 0.5, -2.0 * own, own + 0.5])
+            weight = np.empty((len(some), len(wanted), 27))
+            for at, k in enumerate(wanted):
+                x, y, z = (slope[:, c] if k == c + 1 else value[:, c] for c in range(3))
+                plane = x[:, None] * y[None]
+                weight[:, at] = (plane[:, :, None] * z).reshape(27, -1).T
+            found[start : start + len(some)] = weight @ nodes[(cell @ stride)[:, None] + around]
+        return found
 
     @cached_property
     def _beginnings(self) -> tuple[cKDTree, np.ndarray]:
@@ -91,7 +106,7 @@ class Chart:
         s = s.copy()
         going = np.arange(len(points))
         for _ in range(_MOST):
-            place, jacobian = self._at(s[going], self.cell_of(s[going]))
+            place, jacobian = self._at(s[going])
             singular = np.abs(np.linalg.det(jacobian)) <= 0.0
             jacobian[singular] = np.eye(3)
             step = np.linalg.solve(jacobian, (points[going] - place)[..., None])[..., 0]

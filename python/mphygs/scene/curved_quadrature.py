@@ -67,6 +67,11 @@ def _unfit(part: Part, shape: str, spacing: float) -> str | None:
     return None
 
 
+def thickness_of(part: Part) -> float:
+    """How thick a sheet's mesh is, or how wide a rod's the narrow way: the usual chord [m]."""
+    return _sizes(part)[0]
+
+
 @lru_cache(maxsize=256)
 def _sizes(part: Part) -> tuple[float, float, float]:
     """Thickness, width and length of a thin part [m]: the usual chord, and of the longest way through its

@@ -19,6 +19,7 @@ from mphygs.model.registry import (
     point_parameter_offsets,
 )
 from mphygs.simulate.body import LANES, Body
+from mphygs.simulate.section import POWERS, QUANTITY, section_factors
 
 
 def point_fields(belief: Belief, body: Body) -> PointFields:
@@ -28,7 +29,14 @@ def point_fields(belief: Belief, body: Body) -> PointFields:
     def by_part(quantity: str) -> np.ndarray:
         return np.array([belief[f"{name}.{quantity}"].value for name in body.part_names])[part]
 
-    material = PointFields(by_part("youngs_modulus"), by_part("poissons_ratio"), by_part("density"))
+    factors = np.ones((len(body.part_names), 2))
+    for number, own in enumerate(body.parts):
+        factors[number] = section_factors(belief, own)
+    material = PointFields(
+        by_part("youngs_modulus") * factors[part, 0],
+        by_part("poissons_ratio"),
+        by_part("density") * factors[part, 1],
+    )
     for own in material_effects():
         if own.name in belief.effects:
             settings = belief.term(own.name).settings
@@ -126,6 +134,10 @@ def core_input_tangent(belief: Belief, body: Body, parameter: Parameter) -> dict
             return _through_material(belief, body, MaterialChange(density=mask), relative)
         if quantity == "poissons_ratio":
             return _through_material(belief, body, MaterialChange(poissons_ratio=mask), parameter.slope)
+        if quantity == QUANTITY:
+            of_modulus, of_density = POWERS[body.parts[body.part_names.index(owner)].shape]
+            change = MaterialChange(youngs_modulus=of_modulus * mask, density=of_density * mask)
+            return _through_material(belief, body, change, relative)
         raise KeyError(parameter.key)
     spec = effect(owner)
     for own in material_effects():

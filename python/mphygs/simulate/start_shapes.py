@@ -25,13 +25,14 @@ from mphygs import _core
 from mphygs.capture.format import Capture
 from mphygs.capture.holds import Hold
 from mphygs.model.belief import Belief, Parameter
+from mphygs.scene.spacing_worth import spacing_worth
 from mphygs.simulate.body import LANES, Body
 from mphygs.simulate.discretisation import discretise
 from mphygs.simulate.fields import core_inputs
 from mphygs.simulate.modes import SOFT, lowest_modes
 from mphygs.simulate.rows import held_rows
 
-# Shapes that are known of a body, and cells of its volume on which they are computed.
+# Shapes that are known of a body, and cells that it is worth where they are computed.
 SHAPES, CELLS = 12, 250
 # Of the one material: shapes do not depend on its modulus [Pa] and density [kg/m^3].
 MODULUS, RATIO, DENSITY = 1e5, 0.3, 1e3
@@ -67,7 +68,7 @@ class StartShapes:
 
 @lru_cache(maxsize=8)
 def _shapes(capture: Capture, boxes: bytes) -> StartShapes:
-    spacing = (sum(part.volume for part in capture.parts) / CELLS) ** (1.0 / 3.0)
+    spacing = spacing_worth(capture.parts, CELLS)
     body = discretise(capture, np.frombuffer(boxes).reshape(-1, 2, 3), spacing)
     material = (("youngs_modulus", MODULUS), ("poissons_ratio", RATIO), ("density", DENSITY))
     alike = tuple(Parameter(f"{part}.{q}", value, "") for part in body.part_names for q, value in material)

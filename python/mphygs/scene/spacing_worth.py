@@ -1,0 +1,28 @@
+"""The spacing of a grid of which an object is worth so many cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import brentq
+
+from mphygs.capture.meshes import Part
+from mphygs.scene.curved_quadrature import cell_count
+
+
+def spacing_worth(parts: Sequence[Part], cells: float) -> float:
+    """The spacing of which parts are worth so many cells [m]: of the volume of solids, of sheets and rods of
+    their area and their length."""
+    full = (sum(part.volume for part in parts) / cells) ** (1.0 / 3.0)
+    if all(part.shape == "solid" for part in parts):
+        return full
+
+    def excess(spacing: float) -> float:
+        return float(np.log(sum(cell_count(part, spacing) for part in parts) / cells))
+
+    # A sheet of cells thicker than it is worth more of them than its volume: this is the finest it can be.
+    high = full
+    while excess(high) > 0.0:
+        high *= 2.0
+    return high if high == full else float(brentq(excess, 0.5 * high, high, rtol=1e-3))
