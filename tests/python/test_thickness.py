@@ -45,7 +45,7 @@ def moved_capture(part: Part, **more: object) -> Capture:
 
 
 def belief_of(capture: Capture, times: float = 1.0, *, known_density: bool = True) -> Belief:
-    belief = starting_belief(capture).with_parameter(E, value=3e8)
+    belief = starting_belief(capture).with_parameter(E, value=9e8)
     belief = belief.with_parameter(RHO, value=1200.0, free=not known_density)
     return belief.with_parameter(T, value=times * belief[T].value)
 
