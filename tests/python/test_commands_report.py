@@ -1,5 +1,6 @@
 """The report: one file that shows everything, looked at in a headless browser."""
 
+import itertools
 import json
 import re
 from pathlib import Path
@@ -99,6 +100,40 @@ def test_reader_moves_flips_and_hovers(reported: Path, scheme: str) -> None:
         assert "elasticity alone" in told and "times the noise" in told
         ink = page.evaluate("document.getElementById('chart-fall').layout.font.color")
         assert (ink == "#e8eaed") is (scheme == "dark")
+
+
+def test_all_of_the_box_is_in_view_and_no_marker_sinks_into_the_skin(reported: Path) -> None:
+    eye = "Object.values(document.querySelector('#scene .canvas').layout.scene.camera.eye)"
+    dots = """(() => { const d = document.querySelector('#scene .canvas').data[1], p = scene.predicted(
+        scene.motion().models.at(-1), scene.at()); return [0, 1, 2].map(
+        a => d["xyz"[a]].map((v, k) => v - 1000 * p[3 * k + a])); })()"""
+    with opened(reported.as_uri()) as page:
+        ratio = np.array(
+            page.evaluate("Object.values(document.querySelector('#scene .canvas').layout.scene.aspectratio)")
+        )
+        view = page.evaluate("document.querySelector('#scene .canvas').getBoundingClientRect().toJSON()")
+        from_home = np.array(page.evaluate(eye))
+        back = from_home / np.linalg.norm(from_home)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        corners = 0.5 * ratio * np.array(list(itertools.product((-1, 1), repeat=3)))
+        depth = np.linalg.norm(from_home) - corners @ back
+        across = np.abs(corners @ right) / depth / np.tan(np.pi / 8) * view["height"] / view["width"]
+        up = np.abs(corners @ np.cross(back, right)) / depth / np.tan(np.pi / 8)
+        assert 0.8 < max(across.max(), up.max()) < 0.95
+        assert (back @ np.array(page.evaluate(dots)) > 0.0).all()
+        page.locator("div.scene").scroll_into_view_if_needed()
+        box = page.locator("#scene .canvas").bounding_box()
+        x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 150, y - 80, steps=5)
+        page.mouse.up()
+        # Where it is looked at from has changed, and the markers with it.
+        page.wait_for_function(f"Math.abs({eye}[2] - {from_home[2]}) > 0.5")
+        page.wait_for_timeout(500)
+        now = np.array(page.evaluate(eye))
+        assert (now @ np.array(page.evaluate(dots)) > 0.0).all()
 
 
 def test_map_of_errors_is_of_the_right_marker_and_goes_to_its_frame(reported: Path) -> None:

@@ -1,6 +1,6 @@
 // The object in 3D: its skin, painted with the error, over time; predicted and measured take turns.
 function mphygsScene(root, Plotly, data) {
-  const MISSING = -32768, LARGEST = 32767, MM = 1000;
+  const MISSING = -32768, LARGEST = 32767, MM = 1000, HEIGHT = 520, NEARER = 0.03;
   const pick = (name) => root.querySelector(`[data-role="${name}"]`);
   const canvas = pick("canvas"), slider = pick("time"), select = pick("sequence"), play = pick("play");
   const chosen = (name) => pick(name).querySelector("input:checked")?.value;
@@ -9,7 +9,7 @@ function mphygsScene(root, Plotly, data) {
   const vertices = skin.part.length;
   const corners = [0, 1, 2].map((c) => Array.from({ length: skin.faces.length / 3 }, (_, f) => skin.faces[3 * f + c]));
   const listeners = [];
-  let motion = null, playing = false, last = 0, flipped = false, latest = Promise.resolve(), revision = 0, camera = null;
+  let motion = null, playing = false, last = 0, flipped = false, latest = Promise.resolve(), revision = 0, camera = null, turned = null;
 
   function unpack(text, low, high) {
     const whole = array(Int16Array, text), out = new Float64Array(whole.length);
@@ -40,6 +40,7 @@ function mphygsScene(root, Plotly, data) {
     motion.largest = MM * (finite.length ? finite[Math.floor(0.99 * (finite.length - 1))] : 0) || 1;
     slider.max = String(motion.frames.length - 1);
     slider.value = String(Math.min(Number(slider.value), motion.frames.length - 1));
+    if (camera) turned = null;
     camera = null;
     draw();
     for (const tell of listeners) tell("sequence");
@@ -73,17 +74,35 @@ function mphygsScene(root, Plotly, data) {
     return { error, off };
   }
 
-  function eye() {
-    const size = motion.high.map((h, a) => h - motion.low[a]), up = data.up;
-    const flat = [0, 1, 2].filter((a) => Math.abs(up[a]) < 0.7).sort((a, b) => size[a] - size[b]);
-    const vector = up.map((u) => 0.42 * u);
-    vector[flat[0]] -= 1.0;
-    vector[flat[1] ?? flat[0]] += 0.38;
-    // Far enough for what is long across the page, and for what is tall.
-    const tall = Math.abs(size.reduce((s, x, a) => s + x * up[a], 0)) / Math.max(...size);
-    const gain = Math.max(1.75, 2.5 * tall) / Math.hypot(...vector);
+  // The box of the motion in units of the scene, and where it is looked at from: from the side, and from as near as
+  // shows all its corners and the numbers beside them (plotly's camera opens by 45 degrees from top to bottom).
+  function viewOf(span) {
+    const longest = Math.max(...span), ratio = span.map((s) => 1.7 * Math.max(s / longest, 0.08)), up = data.up;
+    const flat = [0, 1, 2].filter((a) => Math.abs(up[a]) < 0.7).sort((a, b) => span[a] - span[b]);
+    const to = up.map((u) => 0.42 * u);
+    to[flat[0]] -= 1.0;
+    to[flat[1] ?? flat[0]] += 0.38;
+    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2], unit = (a) => a.map((x) => x / Math.hypot(...a));
+    const cross = (a, b) => [0, 1, 2].map((k) => a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3]);
+    const back = unit(to), right = unit(cross(up, back)), top = cross(back, right);
+    const high = 0.85 * Math.tan(Math.PI / 8), wide = high * 0.9 * (canvas.clientWidth || 2 * HEIGHT) / HEIGHT;
+    let distance = 0;
+    for (let k = 0; k < 8; k++) {
+      const c = ratio.map((r, a) => (k >> a & 1 ? 0.5 : -0.5) * r);
+      distance = Math.max(distance, dot(c, back) + Math.max(Math.abs(dot(c, top)) / high, Math.abs(dot(c, right)) / wide));
+    }
     const at = (v) => ({ x: v[0], y: v[1], z: v[2] });
-    return { eye: at(vector.map((x) => gain * x)), up: at(up), center: at([0, 0, 0]) };
+    return { ratio, home: { eye: at(back.map((x) => distance * x)), up: at(up), center: at([0, 0, 0]) } };
+  }
+
+  // Points [mm] brought a little nearer to the eye, so that the skin that they lie in does not cut them.
+  function nearer(points, eye, ratio, span) {
+    const middle = motion.high.map((h, a) => MM * (h + motion.low[a]) / 2), from = [eye.x, eye.y, eye.z];
+    const moved = points[0].map((_, k) => {
+      const own = points.map((p, a) => (p[k] - middle[a]) / span[a] * ratio[a]), way = own.map((x, a) => from[a] - x);
+      return own.map((x, a) => middle[a] + (x + NEARER * way[a] / Math.hypot(...way)) / ratio[a] * span[a]);
+    });
+    return [0, 1, 2].map((a) => moved.map((p) => p[a]));
   }
 
   function columns(list, first, count) {
@@ -104,25 +123,25 @@ function mphygsScene(root, Plotly, data) {
     const bar = { title: { text: "error mm", side: "right" }, thickness: 14, len: 0.8, x: 1.0 };
     const mesh = { type: "mesh3d", x, y, z, i: corners[0], j: corners[1], k: corners[2], name: "skin",
       text: skin.part.map((p, v) => `${skin.parts[p]}<br>${near(error[v])}`), hovertemplate: "%{text}<extra></extra>",
-      lighting: { ambient: 0.55, diffuse: 0.75, specular: 0.12, roughness: 0.7, fresnel: 0.05 },
+      lighting: { ambient: 0.75, diffuse: 0.45, specular: 0.08, roughness: 0.7, fresnel: 0.05 },
       lightposition: { x: 2000, y: -4000, z: 6000 }, cmin: 0, cmax: motion.largest, colorscale: colours.errors,
       intensity: Array.from(error, (e) => (Number.isFinite(e) ? e : 0)), showscale: !byPart, colorbar: bar };
     if (byPart) {
       Object.assign(mesh, { intensity: skin.part, cmin: 0, cmax: Math.max(parts - 1, 1),
         colorscale: Array.from({ length: Math.max(parts, 2) }, (_, p) => [p / Math.max(parts - 1, 1), PARTS[p % PARTS.length]]) });
     }
-    const [mx, my, mz] = pick("points").checked ? columns(points, 0, M) : [[], [], []];
+    const span = motion.high.map((h, a) => MM * (h - motion.low[a])), { ratio, home } = viewOf(span);
+    const [mx, my, mz] = pick("points").checked ? nearer(columns(points, 0, M), (turned ?? home).eye, ratio, span) : [[], [], []];
     const errors = Array.from({ length: M }, (_, m) => MM * model.errors[at * M + m]);
     const dots = { type: "scatter3d", mode: "markers", x: mx, y: my, z: mz, name: "markers",
       text: errors.map((e, m) => `${motion.labels[m] ?? "marker " + m}<br>${near(e)}`), hovertemplate: "%{text}<extra></extra>",
       marker: { size: 3, color: shape === "measured" ? colours.unseen : colours.fitted, line: { color: colours.paper, width: 0.5 } } };
     const arrows = arrowTraces(at, colours);
-    const span = motion.high.map((h, a) => MM * (h - motion.low[a])), longest = Math.max(...span);
     const axis = (a) => ({ range: [MM * motion.low[a], MM * motion.high[a]], title: { text: `${"xyz"[a]} mm` },
       gridcolor: colours.line, zerolinecolor: colours.line, color: colours.quiet, showbackground: false, nticks: 5 });
-    const home = eye(), layout = layoutOf({ height: 520, margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false,
+    const layout = layoutOf({ height: HEIGHT, margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false,
       uirevision: camera ?? "home", scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
-        aspectratio: { x: 1.7 * Math.max(span[0] / longest, 0.08), y: 1.7 * Math.max(span[1] / longest, 0.08), z: 1.7 * Math.max(span[2] / longest, 0.08) },
+        aspectratio: { x: ratio[0], y: ratio[1], z: ratio[2] },
         uirevision: camera ?? "home", camera: home } }, colours);
     layout.datarevision = revision++;
     latest = Plotly.react(canvas, [mesh, dots, ...arrows], layout, { responsive: true, displaylogo: false, displayModeBar: "hover" });
@@ -174,11 +193,15 @@ function mphygsScene(root, Plotly, data) {
   slider.addEventListener("input", draw);
   for (const input of root.querySelectorAll("[name=shape], [data-role=paint], [data-role=points], [data-role=force]")) input.addEventListener("change", draw);
   play.addEventListener("click", () => { playing = !playing; play.textContent = playing ? "pause" : "play"; });
-  pick("home").addEventListener("click", () => { camera = `home-${revision}`; draw(); });
+  pick("home").addEventListener("click", () => { camera = `home-${revision}`; turned = null; draw(); });
   for (const name of Object.keys(data.sequences)) select.append(new Option(name, name));
   select.addEventListener("change", () => load(select.value));
   redraws.push(() => draw());
   load(Object.keys(data.sequences)[0]);
+  canvas.on("plotly_relayout", (e) => {
+    turned = e["scene.camera"] ?? turned;
+    window.requestAnimationFrame(draw);
+  });
   window.requestAnimationFrame(tick);
   return {
     current: () => select.value,
