@@ -122,13 +122,12 @@ def fit_text(state: Run, capture: Capture, *, embedded: bool) -> str:
     folder = shlex.quote(str(state.folder))
     if state.options.get("plugin"):
         folder += f" --plugin {shlex.quote(str(state.options['plugin']))}"
-    lines += ["", "next:"]
-    lines.append(
-        f"  mphygs compare {folder}     where and when it fails, and whether that is more than noise"
-    )
+    following = [(f"compare {folder}", "where and when it fails, and whether that is more than noise")]
     if baseline_of(state) in (None, HOMOGENEOUS):
-        lines.append(f"  mphygs diagnose {folder}    which physical effect is missing")
+        following.append((f"diagnose {folder}", "which physical effect is missing"))
     if embedded:
-        lines.append(f"  mphygs extend {folder} viscosity    add that effect and see the error fall")
-    lines.append(f"  mphygs report {folder}      all of it as one page")
+        following.append((f"extend {folder} viscosity", "add that effect and see the error fall"))
+    following.append((f"report {folder}", "all of it as one page"))
+    wide = max(len(line) for line, _ in following)
+    lines += ["", "next:", *(f"  mphygs {line:{wide}}    {words}" for line, words in following)]
     return "\n".join(lines)

@@ -186,7 +186,8 @@ def _force(contents: Contents) -> str:
         [term["expression"], term["coefficient"], term["std"], term["unit"], term["stability"]]
         for term in found["terms"]
     ]
-    pieces = [said, "<p>Arrows on the object above show it over time, on the fitted frames.</p>"]
+    words = "Arrows on the object above show it over time, on the fitted frames, where it was measured."
+    pieces = [said, f"<p>{words}</p>"]
     pieces.append(html_table(["part", "rms N/kg", "share of the square"], where))
     pieces.append(html_table(["sequence", "frames with half of the square", "rms N/kg"], when))
     if terms:
