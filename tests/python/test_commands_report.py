@@ -3,7 +3,9 @@
 import itertools
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from mphygs.diagnose.force_regression import Explained
 from mphygs.diagnose.missing_force import MissingForce
 from mphygs.diagnose.missing_force_document import Unexplained, keep_missing_force
 from mphygs.fit.run import load_run
+from mphygs.report.evidence import ranking
 from mphygs.report.html import html_table, script_data
 from page_driver import opened
 
@@ -188,6 +191,22 @@ def with_force(reported: Path) -> Path:
     keep_missing_force(None, folder)
     (folder / "diagnosis.json").unlink()
     return out
+
+
+def test_what_was_found_of_the_model_before_is_told(reported: Path) -> None:
+    """`diagnose elastic`, `extend elastic viscosity --out viscous`, `report viscous`."""
+    viscous = load_run(reported.parent)
+    assert command.diagnosis_before(viscous) is None
+    elastic = reported.parent.parent / "elastic"
+    diagnosis = {"verdict": "missing", "effects": ["air_drag"], "ranking": [DRAG], "advice": "add it"}
+    (elastic / "diagnosis.json").write_text(json.dumps(diagnosis))
+    told = command.diagnosis_before(viscous)
+    other = command.diagnosis_before(replace(viscous, digest="of another capture"))
+    (elastic / "diagnosis.json").unlink()
+    assert told == diagnosis and other is None
+    figures: list[dict] = []
+    text = ranking(SimpleNamespace(diagnosis=None, diagnosis_before=told), figures)
+    assert "the model before" in text and "air_drag" in text and len(figures) == 1
 
 
 def test_missing_force_is_told_with_readings_and_formula(with_force: Path) -> None:

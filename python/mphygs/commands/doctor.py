@@ -217,7 +217,8 @@ def _text(
     findings: Sequence[str],
 ) -> str:
     size = "" if capture.diagonal is None else f", {1e3 * capture.diagonal:.4g} mm across"
-    lines = [f"{capture.name}: {len(capture.parts)} parts{size}", ""]
+    count = len(capture.parts)
+    lines = [f"{capture.name}: {count} part{'' if count == 1 else 's'}{size}", ""]
     head = "sequence fps frames markers missing sigma seen moves begins"
     rows = [head.split(), ["", "1/s", "", "", "%", "mm", "mm", "Hz", ""]]
     for name, e in examined.items():

@@ -110,7 +110,8 @@ def init_command(options: InitOptions, console: Console) -> Answer:
         for path in made:
             path.unlink(missing_ok=True)
         raise
-    what = f"{len(capture.parts)} parts" if capture.parts else "an object in pictures"
+    count = len(capture.parts)
+    what = f"{count} part{'s' if count > 1 else ''}" if count else "an object in pictures"
     lines = [f"{target}: {what}; {', '.join(s.name for s in capture.sequences)}"]
     if any(s.markers is not None for s in capture.sequences):
         lines.append("markers at rest are as the first frames show them: look at that, and at sigma")

@@ -23,7 +23,7 @@ from mphygs.compare.image_errors import joined_errors
 from mphygs.diagnose.missing_force_document import load_samples, missing_force_text
 from mphygs.extend.document_checks import check_models, read_diagnosis, read_steps
 from mphygs.fit.of_run import chosen_names, experiment_of, pictured_of
-from mphygs.fit.run import Run, load_run
+from mphygs.fit.run import Run, is_run, load_run
 from mphygs.fit.tables import parameters_of
 from mphygs.report.film_frames import BUDGET as FILMED
 from mphygs.report.film_frames import Filmed
@@ -67,6 +67,7 @@ def report_command(options: ReportOptions, console: Console) -> Answer:
     out = options.out or state.folder / "report.html"
     claim_file(out)
     diagnosis = read_diagnosis(state.folder / DIAGNOSIS)
+    before = None if diagnosis is not None else diagnosis_before(state)
     steps = read_steps(state.folder / STEPS)
     experiment, belief = experiment_of(state, workers=options.workers, make=maker_of(state))
     if steps is not None:
@@ -108,6 +109,7 @@ def report_command(options: ReportOptions, console: Console) -> Answer:
         films=films,
         commands=commands_of(state),
         diagnosis=diagnosis,
+        diagnosis_before=before,
         force=missing_force_text(told, state.capture, state.folder) if told else (),
         steps=steps,
         hidden=[name for name in wanted if name not in shown],
@@ -115,6 +117,17 @@ def report_command(options: ReportOptions, console: Console) -> Answer:
     )
     replace_file(out, report_page(contents))
     return Answer({"run": str(state.folder), "report": str(out)}, f"report: {out}")
+
+
+def diagnosis_before(state: Run) -> dict | None:
+    """Of the run that this one was extended from, beside it or where it was; None without one."""
+    own, given = state.folder.resolve(), state.options.get("run")
+    if not isinstance(given, str) or not given:
+        return None
+    for folder in (own.parent / Path(given).name, Path(given).resolve()):
+        if folder != own and is_run(folder) and load_run(folder).digest == state.digest:
+            return read_diagnosis(folder / DIAGNOSIS)
+    return None
 
 
 def commands_of(state: Run) -> list[str]:

@@ -20,7 +20,7 @@ TRADES = 0.6
 
 def ranking(contents: Contents, figures: list) -> str:
     """What could be missing, the best candidate first; its chart is added to the figures."""
-    found = contents.diagnosis
+    found = contents.diagnosis if contents.diagnosis is not None else contents.diagnosis_before
     if found is None:
         return '<p class="quiet">Not diagnosed yet: mphygs diagnose.</p>'
     rows = charts.ranking_rows(found)
@@ -47,6 +47,8 @@ def ranking(contents: Contents, figures: list) -> str:
     struck = [[row["effect"], row["struck"]] for row in rows if row["struck"]]
     off = "<h3>Struck off, and why</h3>" + html_table(["candidate", "reason"], struck) if struck else ""
     words = "How far the misfit would fall with each candidate. Orange: concluded; hatched: struck off."
+    if contents.diagnosis is None:
+        words = "What was found of the model before, from which this one was extended. " + words
     return (
         f'<p class="quiet">{words}</p>{chart("chart-ranking", "fall of the misfit by candidate")}{off}'
         + folded("all candidates as a table", html_table(head, lines))

@@ -13,10 +13,11 @@ from mphygs.fit.run import Run
 class Contents:
     """All that a page tells.
 
-    parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run; scene:
-    see `scene_document`; films: video beside rendering by sequence; commands: that made it; force: what is
-    said of the missing force, line by line; hidden: sequences that the scene has no room for; sensors: chart
-    of what instruments measured, None where there are none.
+    parameters, comparison, diagnosis, steps: as the commands print them, None for what was not run;
+    diagnosis_before: of the model that this one was extended from; scene: see `scene_document`; films: video
+    beside rendering by sequence; commands: that made it; force: what is said of the missing force, line by
+    line; hidden: sequences that the scene has no room for; sensors: chart of what instruments measured, None
+    where there are none.
     """
 
     run: Run
@@ -27,6 +28,7 @@ class Contents:
     commands: Sequence[str]
     films: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     diagnosis: Mapping[str, object] | None = None
+    diagnosis_before: Mapping[str, object] | None = None
     steps: Mapping[str, object] | None = None
     force: Sequence[str] = ()
     hidden: Sequence[str] = ()

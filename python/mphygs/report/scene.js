@@ -123,7 +123,7 @@ function mphygsScene(root, Plotly, data) {
     const bar = { title: { text: "error mm", side: "right" }, thickness: 14, len: 0.8, x: 1.0 };
     const mesh = { type: "mesh3d", x, y, z, i: corners[0], j: corners[1], k: corners[2], name: "skin",
       text: skin.part.map((p, v) => `${skin.parts[p]}<br>${near(error[v])}`), hovertemplate: "%{text}<extra></extra>",
-      lighting: { ambient: 0.75, diffuse: 0.45, specular: 0.08, roughness: 0.7, fresnel: 0.05 },
+      lighting: { ambient: 0.65, diffuse: 0.55, specular: 0.08, roughness: 0.7, fresnel: 0.05 },
       lightposition: { x: 2000, y: -4000, z: 6000 }, cmin: 0, cmax: motion.largest, colorscale: colours.errors,
       intensity: Array.from(error, (e) => (Number.isFinite(e) ? e : 0)), showscale: !byPart, colorbar: bar };
     if (byPart) {
