@@ -13,6 +13,7 @@ import torch
 
 import mphygs
 from command_example import ETA, SPACING, TRUTH, answer, call, make_capture
+from mphygs.api.results import Estimate
 from mphygs.commands import compare as compare_command
 from mphygs.commands import diagnose as diagnose_command
 from mphygs.commands import extend as extend_command
@@ -230,3 +231,10 @@ def test_data_frames_and_the_line_where_pandas_is_missing(
     frame = elastic.to_dataframe()
     assert list(frame["parameter"]) == list(elastic.parameters)
     assert frame["value"][0] == elastic.parameters[frame["parameter"][0]].value
+
+
+def test_a_number_prints_as_people_write_it() -> None:
+    estimate = Estimate(value=74.5874, std=8.152, unit="Pa s", determined=True)
+    assert str(estimate) == "74.587 +- 8.2 Pa s"
+    loose = replace(estimate, std=None, unit="-", determined=False)
+    assert str(loose) == "74.587, not determined"

@@ -66,6 +66,8 @@ def test_ranking_takes_what_the_run_tells() -> None:
         ("viscosity", 960.0, 40.0, 5.0), ("wind", None, None, None), ("fibre", None, None, None),
     ]  # fmt: skip
     assert [r["struck"] for r in rows] == ["", "promises too little to be refitted", "absorbed"]
+    second = [row | {"struck": "leaves more"} for row in rich["table"]]
+    assert [r["struck"] for r in ranking_rows(rich | {"table": second})][:2] == ["", "leaves more"]
     bars, refits, gains = ranking_chart(rows, [])["data"]
     assert refits["x"] == [960.0] and gains["x"] == [None, None, 40.0] and gains["xaxis"] == "x2"
     assert gains["error_x"]["array"] == [0.0, 0.0, 5.0]

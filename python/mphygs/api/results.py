@@ -127,6 +127,11 @@ class Estimate:
     interval: tuple[float, float] | None = None
     bound: Mapping[str, float] | None = None
 
+    def __str__(self) -> str:
+        spread = "" if self.std is None else f" +- {self.std:.2g}"
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"{self.value:.5g}{spread}{unit}" + ("" if self.determined else ", not determined")
+
 
 def estimates_of(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Estimate]:
     """Fitted numbers by key, from a document."""

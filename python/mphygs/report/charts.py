@@ -99,7 +99,9 @@ def ranking_rows(diagnosis: Mapping[str, object]) -> list[dict[str, object]]:
     """
     ranked = {str(entry["effect"]): entry for entry in diagnosis["ranking"]}
     told = {str(row["effect"]): row for row in diagnosis.get("table") or ()}
-    return [_row({**ranked.get(name, {}), **told.get(name, {})}) for name in dict.fromkeys((*told, *ranked))]
+    rows = [_row({**ranked.get(name, {}), **told.get(name, {})}) for name in dict.fromkeys((*told, *ranked))]
+    # What was concluded in the end, as the simpler of two say, is not struck off, whatever was told before.
+    return [row | {"struck": ""} if row["effect"] in diagnosis["effects"] else row for row in rows]
 
 
 def _row(row: Mapping[str, object]) -> dict[str, object]:

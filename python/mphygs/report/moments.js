@@ -25,7 +25,7 @@ function mphygsMoments(Plotly, scene) {
       hovertemplate: `%{text}, frame %{x}<br>%{z:.3f} mm<extra>${models.length > 1 ? model.label : ""}</extra>` }));
     const width = 1 / models.length, layout = { height: 130 + Math.min(Math.max(5 * order.length, 130), 380), margin: { l: 60, r: 80, t: 34, b: 50 },
       coloraxis: { cmin: 0, cmax: motion.largest, colorscale: colours.errors, colorbar: { title: { text: "error mm" }, thickness: 14 } },
-      yaxis: { title: { text: "marker" }, showgrid: false, autorange: "reversed", showticklabels: order.length <= 20, ticks: "", tickvals: order.map((_, i) => i), ticktext: names },
+      yaxis: { title: { text: "marker" }, showgrid: false, autorange: "reversed", automargin: true, showticklabels: order.length <= 20, ticks: "", tickvals: order.map((_, i) => i), ticktext: names },
       shapes: [...edges(colours, refs), ...here(colours, refs)],
       annotations: models.map((model, k) => ({ xref: "paper", yref: "paper", x: width * (k + 0.5), y: 1, yanchor: "bottom", text: model.label, showarrow: false })) };
     models.forEach((_, k) => { layout[k ? `xaxis${k + 1}` : "xaxis"] = { title: { text: "frame" }, showgrid: false, domain: [width * k + (k ? 0.02 : 0), width * (k + 1) - (k + 1 < models.length ? 0.02 : 0)] }; });
