@@ -17,6 +17,12 @@ if TYPE_CHECKING:
 
 # Seconds within which a scheduler answers, and a cluster is shut down.
 ANSWER = 10.0
+# What dask looks at a hundred times a second to tell where time goes, in every process of it: nobody asks.
+UNWATCHED = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+}
 
 
 def check_distributed() -> None:
@@ -93,10 +99,12 @@ def _withdrawn() -> Callable[[], bool]:
 @contextlib.contextmanager
 def local_workers(workers: int, threads: int) -> Iterator[Workers]:
     """Worker processes on this machine, which alone can reach them; one that ends is begun anew."""
+    import dask
     from distributed import Client, LocalCluster, Security
 
     with (
         _quiet(),
+        dask.config.set(UNWATCHED),
         LocalCluster(
             n_workers=workers,
             threads_per_worker=threads,
