@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from mphygs.batch.dispatch import Handle
 from mphygs.batch.work import FAILED, Outcome, Task, work
 from mphygs.capture.errors import one_line
+from mphygs.simulate.settings import available_cores
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -94,6 +95,28 @@ def _withdrawn() -> Callable[[], bool]:
         return task is None or task.state in ("cancelled", "resumed")
 
     return asked
+
+
+@contextlib.contextmanager
+def workers_for(
+    count: int, *, workers: int | None, threads: int | None, scheduler: str | None
+) -> Iterator[Workers | None]:
+    """Workers for so many runs, those of a scheduler where its address is given; none where there is no run.
+
+    workers: processes on this machine, default: one a core; threads: of each, default: the cores, shared out.
+    Raises ValueError where no scheduler answers.
+    """
+    if not count:
+        yield None
+        return
+    if scheduler is not None:
+        with workers_of_scheduler(scheduler, "--scheduler") as found:
+            yield found
+        return
+    cores = available_cores()
+    workers = workers or min(cores, count)
+    with local_workers(workers, threads or max(1, cores // workers)) as found:
+        yield found
 
 
 @contextlib.contextmanager
