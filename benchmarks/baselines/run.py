@@ -23,8 +23,8 @@ import tyro
 from table import markdown
 
 from mphygs.baselines.kinds import NAMES
-from mphygs.batch.cluster import check_distributed, workers_for
-from mphygs.batch.dispatch import dispatch
+from mphygs.batch.cluster import check_distributed
+from mphygs.batch.side_by_side import run_side_by_side
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.capture.motions import HoldMovement
@@ -171,8 +171,7 @@ def records_of(rows: list[Row], options: Options) -> list[dict[str, object]]:
         print(f"{task.name}: {outcome.line or 'done'}", file=sys.stderr, flush=True)
 
     given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    with workers_for(len(todo), **given) as pool:
-        dispatch(list(todo), pool, ended=ended, look=lambda *_: None, threads=options.threads)
+    run_side_by_side(list(todo), ended, **given)
     return list(found.values())
 
 

@@ -20,8 +20,8 @@ from flower import VARIANTS, Flower
 from judge import segments
 from table import document, markdown
 
-from mphygs.batch.cluster import check_distributed, workers_for
-from mphygs.batch.dispatch import dispatch
+from mphygs.batch.cluster import check_distributed
+from mphygs.batch.side_by_side import run_side_by_side
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.capture.stages import STAGES
@@ -80,8 +80,7 @@ def grown(flowers: list[Flower], options: Options) -> None:
         return after
 
     given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    with workers_for(len(first), **given) as pool:
-        dispatch(list(first), pool, ended=ended, look=lambda *_: None, threads=options.threads)
+    run_side_by_side(list(first), ended, **given)
 
 
 def segmented(options: Options, species: list[str]) -> int:

@@ -13,6 +13,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from mphygs.batch import side_by_side
 from mphygs.batch.work import Outcome, Task
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -109,7 +110,7 @@ def test_rows_of_baselines_are_runs_of_a_batch(
         return Outcome(0, "", done[row], 3.0, 2.0) if row in done else Outcome(1, "fell over", None, 1.0)
 
     workers = OneByOne(outcome)
-    monkeypatch.setattr(module, "workers_for", workers.workers_for)
+    monkeypatch.setattr(side_by_side, "workers_for", workers.workers_for)
     monkeypatch.setattr(module, "make_capture", lambda _, folder: made.append(folder.mkdir(parents=True)))
     command = ["run.py", "--cases", "tilt", "--seeds", "7", "--out", str(tmp_path), "--rows"]
     monkeypatch.setattr(sys, "argv", [*command, "discover,elastic,springs"])
@@ -127,6 +128,44 @@ def test_rows_of_baselines_are_runs_of_a_batch(
     done["elastic"] = done["springs"]
     assert module.main() == 0 and len(made) == 1
     assert [task.name for task in workers.asked[3:]] == ["tilt-7-elastic"]
+
+
+@pytest.mark.parametrize(("name", "command"), [("nulls", "discover"), ("standard_errors", "fit")])
+def test_captures_of_one_truth_are_run_once_and_a_failure_ends_no_other(
+    name: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    module, made = loaded(name, monkeypatch), []
+
+    def make(_: object, folder: Path) -> None:
+        made.append(folder)
+        folder.mkdir(parents=True)
+        (folder / "answer.json").write_text(json.dumps({"parts": {"bar": {"E": 1e5}}}))
+
+    def outcome(task: Task) -> Outcome:
+        assert task.words[0] == command and task.words[1] == str(made[len(workers.asked) - 1].absolute())
+        if len(workers.asked) == 1:
+            return Outcome(1, "fell over", None, 1.0)
+        found = {"parameters": {"bar.youngs_modulus": {"value": 1.03e5, "std": 1e3}}}
+        known = {"verdict": "adequate", "effects": [], "missing_force": None}
+        return Outcome(0, "", known | found | {"steps": [found]}, 3.0)
+
+    workers = OneByOne(outcome)
+    monkeypatch.setattr(side_by_side, "workers_for", workers.workers_for)
+    monkeypatch.setattr(module, "make_capture", make)
+    choice = "--kinds=white" if name == "nulls" else "--simulators=mls"
+    line = ["run.py", choice, "--seeds", "7,8", "--out", str(tmp_path), "--json"]
+    monkeypatch.setattr(sys, "argv", line)
+    assert module.main() == 0
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    (entry,) = found["records"] if name == "nulls" else found
+    assert entry["seed"] == 8 and "fell over" in said.err and len(made) == len(workers.asked) == 2
+    off = entry["z"]["bar"] if name == "nulls" else entry["parts"]["bar"]["value"] / 1e3 - 100.0
+    assert off == pytest.approx(3.0)
+    # what failed is tried again, what is done is not
+    workers.of = lambda _: Outcome(1, "fell over", None, 1.0)
+    assert module.main() == 0 and [task.name[-2:] for task in workers.asked[2:]] == ["-7"]
 
 
 @pytest.fixture
@@ -158,7 +197,7 @@ def garden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.setitem(own, "missing_stages", missing)
     monkeypatch.setitem(own, "load_capture", lambda _: None)
     monkeypatch.setitem(own, "judged", lambda *_: {"psnr": 30.0})
-    monkeypatch.setattr(module, "workers_for", garden.workers.workers_for)
+    monkeypatch.setattr(side_by_side, "workers_for", garden.workers.workers_for)
 
     def results(*variants: str, species: tuple[str, ...] = ("daisy",), **more: object) -> list[dict]:
         options = module.Options(out=tmp_path, **more)
