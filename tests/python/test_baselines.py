@@ -147,24 +147,20 @@ def test_springs_are_stable_to_the_step_that_they_say() -> None:
 
 
 def test_what_begins_is_the_best_of_a_few_stiffnesses() -> None:
-    asked: list[float] = []
+    def begun(softest: float) -> float:
+        def cost(values: Mapping[str, np.ndarray]) -> float:
+            power = float(values["k"][0])
+            if power > 1.1 or power < softest:
+                raise SimulationError("unstable")
+            # worse and worse from the stiffest on, and least far below
+            return (power + 0.7) ** 2 if power < 0.2 else 5.0 - power
 
-    def cost(values: Mapping[str, np.ndarray]) -> float:
-        power = float(values["k"][0])
-        asked.append(power)
-        if power > 1.1 or power < softest:
-            raise SimulationError("unstable")
-        return (power - 0.3) ** 2
-
-    def begun() -> float:
         found = training.begun_at(lambda p: {"k": np.array([p])}, cost, lambda *_: None, name="it")
         return float(found["k"][0])
 
-    softest = -9.0
-    assert begun() == 0.25 and min(asked) == -0.25  # two that are worse end it
-    softest = 2.0
+    assert begun(-9.0) == -0.75 and begun(-0.6) == -0.5
     with pytest.raises(SimulationError, match="it: no stiffness"):
-        begun()
+        begun(2.0)
 
 
 def test_springs_fit_what_springs_make(
