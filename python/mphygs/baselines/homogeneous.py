@@ -47,7 +47,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     watched = {name: watch(pictured, name, span, looks=False) for name, span in experiment.fitted.items()}
     key = f"{run.belief.parts[0]}.youngs_modulus"
     base = _of_known_mass(run.belief, experiment)
-    costs: list[float] = []
+    tried: list[float] = []
 
     def cost(log_modulus: float) -> float:
         belief = base.with_parameter(key, value=math.exp(log_modulus))
@@ -55,16 +55,18 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
             found = silhouette_loss(pictured, watched, belief)
         except SimulationError:
             found = math.inf
-        share = min((len(costs) + 1) / (len(TRIED) + SEARCHES), 1.0)
+        tried.append(found)
+        share = min(len(tried) / (len(TRIED) + SEARCHES), 1.0)
         progress(share, f"silhouettes: E {math.exp(log_modulus):.3g} Pa, loss {found:.5f}")
-        costs.append(found)
         return found
 
     best = _searched(cost)
     belief = base.with_parameter(key, value=math.exp(best))
     evaluation = experiment.problem(run.settings.spacing).evaluate(belief)
+    # what could not be simulated has no cost to tell
+    costs = tuple(found for found in tried if math.isfinite(found))
     record = StageRecord(
-        "silhouettes", run.settings.spacing, tuple(costs), True, "search done", time.monotonic() - began
+        "silhouettes", run.settings.spacing, costs, True, "search done", time.monotonic() - began
     )
     return replace(
         run.after(record, belief),
