@@ -132,7 +132,9 @@ def local_workers(workers: int, threads: int) -> Iterator[Workers]:
             n_workers=workers,
             threads_per_worker=threads,
             processes=True,
-            dashboard_address=None,
+            # its pages are at any port that is free: a second batch may be under way
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
             worker_dashboard_address=None,
             memory_limit=None,
             silence_logs=logging.CRITICAL,  # of the worker processes
