@@ -24,7 +24,7 @@ from table import markdown
 
 from mphygs.baselines.kinds import NAMES
 from mphygs.batch.cluster import check_distributed
-from mphygs.batch.side_by_side import run_side_by_side
+from mphygs.batch.run_on_workers import run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.capture.motions import HoldMovement
@@ -171,7 +171,7 @@ def records_of(rows: list[Row], options: Options) -> list[dict[str, object]]:
         print(f"{task.name}: {outcome.line or 'done'}", file=sys.stderr, flush=True)
 
     given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_side_by_side(list(todo), ended, **given)
+    run_on_workers(list(todo), ended, **given)
     return list(found.values())
 
 

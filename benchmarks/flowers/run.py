@@ -21,7 +21,7 @@ from judge import segments
 from table import document, markdown
 
 from mphygs.batch.cluster import check_distributed
-from mphygs.batch.side_by_side import run_side_by_side
+from mphygs.batch.run_on_workers import run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.capture.stages import STAGES
@@ -80,7 +80,7 @@ def grown(flowers: list[Flower], options: Options) -> None:
         return after
 
     given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_side_by_side(list(first), ended, **given)
+    run_on_workers(list(first), ended, **given)
 
 
 def segmented(options: Options, species: list[str]) -> int:

@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 from mphygs.batch.cluster import check_distributed
-from mphygs.batch.side_by_side import run_side_by_side
+from mphygs.batch.run_on_workers import run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.model.registry import effects
@@ -140,7 +140,7 @@ def records_of(kinds: Sequence[str], seeds: Sequence[int], options: Options) -> 
         print(f"{kind}, seed {seed}: {entry['verdict']}; {named}; z {z}", file=sys.stderr, flush=True)
 
     given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_side_by_side(list(todo), ended, **given)
+    run_on_workers(list(todo), ended, **given)
     return [json.loads(path.read_text()) for path in paths.values() if path.is_file()]
 
 

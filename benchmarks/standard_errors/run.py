@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from mphygs.batch.cluster import check_distributed
-from mphygs.batch.side_by_side import run_side_by_side
+from mphygs.batch.run_on_workers import run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.synth.make import make_capture
 from mphygs.synth.recipe import SIMULATORS, recipe
@@ -92,7 +92,7 @@ def fitted(captures: Sequence[Path], options: Options) -> None:
         partial.replace(kept)
 
     given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_side_by_side(list(todo), ended, **given)
+    run_on_workers(list(todo), ended, **given)
 
 
 def told(folder: Path) -> dict[str, dict[str, float]]:

@@ -13,7 +13,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from mphygs.batch import side_by_side
+from mphygs.batch import run_on_workers
 from mphygs.batch.work import Outcome, Task
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -110,7 +110,7 @@ def test_rows_of_baselines_are_runs_of_a_batch(
         return Outcome(0, "", done[row], 3.0, 2.0) if row in done else Outcome(1, "fell over", None, 1.0)
 
     workers = OneByOne(outcome)
-    monkeypatch.setattr(side_by_side, "workers_for", workers.workers_for)
+    monkeypatch.setattr(run_on_workers, "workers_for", workers.workers_for)
     monkeypatch.setattr(module, "make_capture", lambda _, folder: made.append(folder.mkdir(parents=True)))
     command = ["run.py", "--cases", "tilt", "--seeds", "7", "--out", str(tmp_path), "--rows"]
     monkeypatch.setattr(sys, "argv", [*command, "discover,elastic,springs"])
@@ -151,7 +151,7 @@ def test_captures_of_one_truth_are_run_once_and_a_failure_ends_no_other(
         return Outcome(0, "", known | found | {"steps": [found]}, 3.0)
 
     workers = OneByOne(outcome)
-    monkeypatch.setattr(side_by_side, "workers_for", workers.workers_for)
+    monkeypatch.setattr(run_on_workers, "workers_for", workers.workers_for)
     monkeypatch.setattr(module, "make_capture", make)
     choice = "--kinds=white" if name == "nulls" else "--simulators=mls"
     line = ["run.py", choice, "--seeds", "7,8", "--out", str(tmp_path), "--json"]
@@ -197,7 +197,7 @@ def garden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.setitem(own, "missing_stages", missing)
     monkeypatch.setitem(own, "load_capture", lambda _: None)
     monkeypatch.setitem(own, "judged", lambda *_: {"psnr": 30.0})
-    monkeypatch.setattr(side_by_side, "workers_for", garden.workers.workers_for)
+    monkeypatch.setattr(run_on_workers, "workers_for", garden.workers.workers_for)
 
     def results(*variants: str, species: tuple[str, ...] = ("daisy",), **more: object) -> list[dict]:
         options = module.Options(out=tmp_path, **more)

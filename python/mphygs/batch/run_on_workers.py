@@ -9,7 +9,7 @@ from mphygs.batch.dispatch import dispatch
 from mphygs.batch.work import Outcome, Task
 
 
-def run_side_by_side(
+def run_on_workers(
     tasks: Sequence[Task],
     ended: Callable[[Task, Outcome], Sequence[Task] | None],
     *,
