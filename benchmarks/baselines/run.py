@@ -2,18 +2,18 @@
 
     python benchmarks/baselines/run.py [--cases viscosity,tilt] [--seeds 0] [--rows springs] [--out DIR]
 
-Every row is one command on the same capture, in a process of its own: its error on the frames that were
-fitted, on frames of that motion that were not, and on a motion that was not. Captures, runs and results are
-kept in the output folder; what is there is not done again, and what was broken off goes on.
+Every row is one command on the same capture, in a process of its own, on workers as `mphygs batch` has them:
+its error on the frames that were fitted, on frames of that motion that were not, and on a motion that was
+not. Captures, runs and results are kept in the output folder; what is there is not done again, and what was
+broken off goes on.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
-import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +23,9 @@ import tyro
 from table import markdown
 
 from mphygs.baselines.kinds import NAMES
+from mphygs.batch.cluster import check_distributed
+from mphygs.batch.run_on_workers import run_on_workers
+from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.capture.motions import HoldMovement
 from mphygs.synth.make import make_capture
@@ -58,7 +61,11 @@ class Options:
     out: Path = Path("runs/baselines")
     """Folder for captures, runs and results."""
     workers: int = 1
-    """Simulations side by side, in each command."""
+    """Commands side by side on this machine."""
+    threads: int = 1
+    """Of each of them."""
+    scheduler: Annotated[str | None, tyro.conf.arg(metavar="tcp://HOST:PORT")] = None
+    """Of dask.distributed, whose workers are used."""
     json: bool = False
     """Print one JSON object on standard output, and the rest on standard error."""
 
@@ -89,13 +96,15 @@ def capture_of(case: str, seed: int, options: Options) -> Path:
     return folder
 
 
-def command_of(row: str, capture: Path, run: Path, seed: int, workers: int) -> list[str]:
+def task_of(case: str, seed: int, row: str, capture: Path, options: Options) -> Task:
     """What makes, or goes on with, one row."""
-    words = ["discover" if row == "discover" else "fit", str(capture), "--out", str(run)]
-    words += ["--seed", str(seed), "--workers", str(workers)]
-    words += ["--baseline", row] if row in BASELINES else []
-    begun = (run / "run.json").is_file()
-    return [sys.executable, "-m", "mphygs", *words, "--json", *(["--resume"] if begun else [])]
+    name, out = f"{case}-{seed}-{row}", options.out.absolute()
+    run = out / "runs" / name
+    words = ["discover" if row == "discover" else "fit", str(capture.absolute()), "--out", str(run)]
+    words += ["--seed", str(seed), *(["--baseline", row] if row in BASELINES else [])]
+    return Task(
+        name, str(capture), tuple(words), run, out / "logs", Path(os.getcwd()), limited=True, resumable=True
+    )
 
 
 def errors_of(answer: Mapping[str, object]) -> dict[str, object]:
@@ -110,34 +119,60 @@ def errors_of(answer: Mapping[str, object]) -> dict[str, object]:
     return {"errors": found, "effects": answer.get("effects"), "verdict": answer.get("verdict")}
 
 
-def record(case: str, seed: int, row: str, options: Options) -> dict[str, object]:
-    """One row of one capture, from its file where it is done already."""
-    path = options.out / "results" / f"{case}-{seed}-{row}.json"
-    spec = plain({"hidden": CASES[case], "seed": seed, "row": row, "markers": options.markers})
-    if path.is_file():
-        known = json.loads(path.read_text())
-        if known["spec"] == spec and "error" not in known:
-            return known
-    print(f"{case}, seed {seed}, {row}", file=sys.stderr, flush=True)
-    capture = capture_of(case, seed, options)
-    began = time.perf_counter()
-    run = options.out / "runs" / f"{case}-{seed}-{row}"
-    done = subprocess.run(
-        command_of(row, capture, run, seed, options.workers), capture_output=True, text=True, check=False
-    )
-    entry: dict[str, object] = {"case": case, "seed": seed, "row": row, "spec": spec}
-    if done.returncode == 0:
-        answer = json.loads(done.stdout)
-        # what was broken off and goes on has spent some before
-        seconds = max(time.perf_counter() - began, float(answer.get("seconds", 0.0)))
-        entry |= errors_of(answer) | {"seconds": seconds}
-    else:
-        entry["error"] = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".part")
-    partial.write_text(json.dumps(plain(entry), indent=1) + "\n")
-    partial.replace(path)
-    return entry
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One row of one capture. spec: what tells it apart; path: of the file of its result."""
+
+    case: str
+    seed: int
+    row: str
+    spec: Mapping[str, object]
+    path: Path
+
+    @classmethod
+    def of(cls, case: str, seed: int, row: str, options: Options) -> Row:
+        spec = plain({"hidden": CASES[case], "seed": seed, "row": row, "markers": options.markers})
+        return cls(case, seed, row, spec, options.out / "results" / f"{case}-{seed}-{row}.json")
+
+    def known(self) -> dict[str, object] | None:
+        """Its result, where it is done."""
+        found = json.loads(self.path.read_text()) if self.path.is_file() else {}
+        return found if found.get("spec") == self.spec and "error" not in found else None
+
+    def keep(self, outcome: Outcome, *, whole: bool) -> dict[str, object]:
+        """Its result as it comes of a command, in its file. whole: whether that began it as well."""
+        entry = {"case": self.case, "seed": self.seed, "row": self.row, "spec": self.spec}
+        if outcome.answer is not None:
+            # what was broken off and goes on has spent some before
+            seconds = max(outcome.seconds, float(outcome.answer.get("seconds", 0.0)))
+            entry |= errors_of(outcome.answer) | {"seconds": seconds}
+            entry |= {"processor": outcome.processor} if whole else {}
+        else:
+            entry["error"] = outcome.line
+        entry = plain(entry)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        partial = self.path.with_suffix(".part")
+        partial.write_text(json.dumps(entry, indent=1) + "\n")
+        partial.replace(self.path)
+        return entry
+
+
+def records_of(rows: list[Row], options: Options) -> list[dict[str, object]]:
+    """The results of all rows, those that are there already and new ones."""
+    found = {row: row.known() for row in rows}
+    todo = {}
+    for row in (row for row in rows if found[row] is None):
+        capture = capture_of(row.case, row.seed, options)
+        todo[task_of(row.case, row.seed, row.row, capture, options)] = row
+    begun = {task for task in todo if task.log.exists()}
+
+    def ended(task: Task, outcome: Outcome) -> None:
+        found[todo[task]] = todo[task].keep(outcome, whole=task not in begun)
+        print(f"{task.name}: {outcome.line or 'done'}", file=sys.stderr, flush=True)
+
+    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
+    run_on_workers(list(todo), ended, **given)
+    return list(found.values())
 
 
 def chosen(text: str, known: tuple[str, ...]) -> list[str]:
@@ -155,10 +190,16 @@ def main() -> int:
     try:
         cases, rows = chosen(options.cases, tuple(CASES)), chosen(options.rows, ROWS)
         seeds = [int(seed) for seed in options.seeds.split(",")]
+        check_distributed()
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    records = [record(case, seed, row, options) for case in cases for seed in seeds for row in rows]
+    wanted = [Row.of(case, seed, row, options) for case in cases for seed in seeds for row in rows]
+    try:
+        records = records_of(wanted, options)
+    except KeyboardInterrupt:
+        print("interrupted; the same line goes on", file=sys.stderr)
+        return 130
     text = markdown(records)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "table.md").write_text(text + "\n")

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-HEAD = ("hidden", "seed", "model", "fitted frames", "unseen frames", "unseen motion", "seconds", "names")
+HEAD = (
+    "hidden", "seed", "model", "fitted frames", "unseen frames", "unseen motion", "seconds",
+    "of the processor", "names",
+)  # fmt: skip
 
 
 def markdown(records: Sequence[Mapping[str, object]]) -> str:
@@ -13,12 +16,14 @@ def markdown(records: Sequence[Mapping[str, object]]) -> str:
     for entry in records:
         who = (str(entry["case"]), str(entry["seed"]), str(entry["row"]))
         if "error" in entry:
-            lines.append(_row(*who, str(entry["error"]), "", "", "", ""))
+            lines.append(_row(*who, str(entry["error"]), *[""] * 5))
             continue
         cells = [_error(entry["errors"][where]) for where in ("fitted", "frames", "motion")]
         named = entry["effects"]
         names = "" if named is None else ", ".join(named) or "nothing"
-        lines.append(_row(*who, *cells, f"{entry['seconds']:.0f}", names))
+        # what went on after a break does not know what it had taken
+        processor = f"{entry['processor']:.0f}" if "processor" in entry else "-"
+        lines.append(_row(*who, *cells, f"{entry['seconds']:.0f}", processor, names))
     return "\n".join(lines)
 
 

@@ -2,18 +2,16 @@
 
     python benchmarks/nulls/run.py [--kinds white,heavy] [--seeds 0,1] [--out DIR] [--json]
 
-Nothing may be named, no formula told, and E be within two standard errors. Captures and results are kept in
-the output folder; what is there already is not run again, so an interrupted benchmark goes on where it
-stopped.
+Nothing may be named, no formula told, and E be within two standard errors. Every run is a command in a
+process of its own, on workers as `mphygs batch` has them. Captures and results are kept in the output folder;
+what is there already is not run again, so an interrupted benchmark goes on where it stopped.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,9 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from mphygs.batch.cluster import check_distributed
+from mphygs.batch.run_on_workers import run_on_workers
+from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.model.registry import effects
 from mphygs.synth.make import make_capture
@@ -48,29 +49,32 @@ class Options:
     """Number of markers."""
     out: Path = Path("runs/nulls")
     """Folder for captures and results."""
-    workers: int = os.cpu_count() or 1
-    """Simulations side by side."""
+    workers: int = 1
+    """Commands side by side on this machine."""
+    threads: int | None = None
+    """Of each of them; default: the cores, shared out."""
+    scheduler: Annotated[str | None, tyro.conf.arg(metavar="tcp://HOST:PORT")] = None
+    """Of dask.distributed, whose workers are used."""
     json: bool = False
     """Print one JSON object on standard output, and the rest on standard error."""
 
 
-def run_one(kind: str, seed: int, options: Options) -> dict[str, object]:
-    """Make a capture, discover with default options, and judge. Raises RuntimeError where that fails."""
+def captured(kind: str, seed: int, options: Options) -> Path:
+    """The capture of a kind of noise, made unless it is there."""
     folder = options.out / "captures" / f"{options.shape}-{options.markers}-{kind}-{seed}"
     if not (folder / "answer.json").is_file():
         made = recipe(options.shape, seed=seed, noise=Noise(kind), marker_count=options.markers)
         make_capture(made, folder)
-    truth = json.loads((folder / "answer.json").read_text())["parts"]
-    command = [sys.executable, "-m", "mphygs.discover", str(folder), "--out", f"{folder}-run", "--json"]
-    began = time.perf_counter()
-    done = subprocess.run(
-        [*command, "--workers", str(options.workers)], capture_output=True, text=True, check=False
+    return folder
+
+
+def task_of(capture: Path, options: Options) -> Task:
+    """Discover, with default options."""
+    run, logs = Path(f"{capture.absolute()}-run"), options.out.absolute() / "logs"
+    words = ("discover", str(capture.absolute()), "--out", str(run))
+    return Task(
+        capture.name, str(capture), words, run, logs, Path(os.getcwd()), limited=True, resumable=True
     )
-    if done.returncode != 0:
-        raise RuntimeError(done.stderr.strip().splitlines()[-1])
-    return judged(json.loads(done.stdout), truth) | {
-        "kind": kind, "seed": seed, "seconds": time.perf_counter() - began,
-    }  # fmt: skip
 
 
 def judged(found: Mapping[str, object], truth: Mapping[str, Mapping[str, float]]) -> dict[str, object]:
@@ -108,6 +112,38 @@ def rows(records: Sequence[Mapping[str, object]]) -> list[str]:
     return [head, "|" + " --- |" * len(COLUMNS), *body]
 
 
+def records_of(kinds: Sequence[str], seeds: Sequence[int], options: Options) -> list[dict[str, object]]:
+    """What was concluded of every capture, those that are done already and new ones; not of what failed."""
+    results, todo = options.out / "results", {}
+    results.mkdir(parents=True, exist_ok=True)
+    paths = {}
+    for seed in seeds:
+        for kind in kinds:
+            path = results / f"{options.shape}-{options.markers}-{kind}-{seed}.json"
+            paths[kind, seed] = path
+            if not path.is_file():
+                todo[task_of(captured(kind, seed, options), options)] = (kind, seed)
+
+    def ended(task: Task, outcome: Outcome) -> None:
+        kind, seed = todo[task]
+        if outcome.answer is None:
+            print(f"{kind}, seed {seed}: {outcome.line}", file=sys.stderr, flush=True)
+            return
+        truth = json.loads((Path(task.folder) / "answer.json").read_text())["parts"]
+        seconds = max(outcome.seconds, float(outcome.answer.get("seconds", 0.0)))
+        entry = plain(judged(outcome.answer, truth) | {"kind": kind, "seed": seed, "seconds": seconds})
+        partial = paths[kind, seed].with_suffix(".part")
+        partial.write_text(json.dumps(entry, indent=1) + "\n")
+        partial.replace(paths[kind, seed])
+        named = ", ".join([*entry["physics"], *entry["faults"]]) or "none"
+        z = ", ".join(f"{value:.2f}" for value in entry["z"].values())
+        print(f"{kind}, seed {seed}: {entry['verdict']}; {named}; z {z}", file=sys.stderr, flush=True)
+
+    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
+    run_on_workers(list(todo), ended, **given)
+    return [json.loads(path.read_text()) for path in paths.values() if path.is_file()]
+
+
 def main() -> int:
     """Run, print, and keep everything in the output folder."""
     options = tyro.cli(Options, config=(tyro.conf.FlagCreatePairsOff,))
@@ -115,26 +151,15 @@ def main() -> int:
     if unknown := [k for k in kinds if k not in NOISES]:
         print(f"--kinds: '{unknown[0]}'; expected some of {', '.join(NOISES)}", file=sys.stderr)
         return 2
-    results = options.out / "results"
-    results.mkdir(parents=True, exist_ok=True)
-    records = []
-    for seed in (int(s) for s in options.seeds.split(",")):
-        for kind in kinds:
-            path = results / f"{options.shape}-{options.markers}-{kind}-{seed}.json"
-            if not path.is_file():
-                try:
-                    entry = plain(run_one(kind, seed, options))
-                except RuntimeError as error:
-                    print(f"{kind}, seed {seed}: {error}", file=sys.stderr, flush=True)
-                    continue
-                partial = path.with_suffix(".part")
-                partial.write_text(json.dumps(entry, indent=1) + "\n")
-                partial.replace(path)
-            records.append(json.loads(path.read_text()))
-            entry = records[-1]
-            named = ", ".join([*entry["physics"], *entry["faults"]]) or "none"
-            z = ", ".join(f"{value:.2f}" for value in entry["z"].values())
-            print(f"{kind}, seed {seed}: {entry['verdict']}; {named}; z {z}", file=sys.stderr, flush=True)
+    try:
+        check_distributed()
+        records = records_of(kinds, [int(s) for s in options.seeds.split(",")], options)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the same line goes on", file=sys.stderr)
+        return 130
     if not records:
         return 1
     print("\n".join(rows(records)), file=sys.stderr if options.json else sys.stdout)

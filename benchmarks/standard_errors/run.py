@@ -2,8 +2,9 @@
 
     python benchmarks/standard_errors/run.py [--simulators mls] [--seeds 0,1] [--out DIR] [--json]
 
-Captures and answers are kept in the output folder; what is there already is not run again, so an interrupted
-benchmark goes on where it stopped.
+Every fit is a command in a process of its own, on workers as `mphygs batch` has them. Captures and answers
+are kept in the output folder; what is there already is not run again, so an interrupted benchmark goes on
+where it stopped.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +21,9 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from mphygs.batch.cluster import check_distributed
+from mphygs.batch.run_on_workers import run_on_workers
+from mphygs.batch.work import Outcome, Task
 from mphygs.synth.make import make_capture
 from mphygs.synth.recipe import SIMULATORS, recipe
 
@@ -43,16 +46,19 @@ class Options:
     """Frames of each motion."""
     out: Path = Path("runs/standard_errors")
     """Folder for captures and results."""
-    workers: int = os.cpu_count() or 1
-    """Simulations side by side."""
+    workers: int = 1
+    """Commands side by side on this machine."""
+    threads: int | None = None
+    """Of each of them; default: the cores, shared out."""
+    scheduler: Annotated[str | None, tyro.conf.arg(metavar="tcp://HOST:PORT")] = None
+    """Of dask.distributed, whose workers are used."""
     json: bool = False
     """Print one JSON object on standard output, and the rest on standard error."""
 
 
-def fitted(simulator: str, seed: int, options: Options) -> dict[str, dict[str, float]]:
-    """By part, true E, fitted E and its standard error [Pa]. Raises RuntimeError where the fit fails."""
+def captured(simulator: str, seed: int, options: Options) -> Path:
+    """The capture whose truth a simulator made, unless it is there."""
     folder = options.out / f"{options.shape}-{options.markers}-{options.frames}-{simulator}-{seed}"
-    kept = folder.with_suffix(".json")
     if not (folder / "answer.json").is_file():
         made = recipe(
             options.shape,
@@ -62,21 +68,41 @@ def fitted(simulator: str, seed: int, options: Options) -> dict[str, dict[str, f
             marker_count=options.markers,
         )
         make_capture(made, folder)
-    if not kept.is_file():
-        command = [sys.executable, "-m", "mphygs.fit", str(folder), "--out", f"{folder}-run", "--json"]
-        done = subprocess.run(
-            [*command, "--workers", str(options.workers)], capture_output=True, text=True, check=False
-        )
-        if done.returncode != 0:
-            raise RuntimeError(done.stderr.strip().splitlines()[-1])
+    return folder
+
+
+def fitted(captures: Sequence[Path], options: Options) -> None:
+    """Fit all captures that are not fitted yet; the answer is kept beside each."""
+    logs, place = options.out.absolute() / "logs", Path(os.getcwd())
+    todo = {}
+    for folder in captures:
+        run = Path(f"{folder.absolute()}-run")
+        words = ("fit", str(folder.absolute()), "--out", str(run))
+        if not folder.with_suffix(".json").is_file():
+            task = Task(folder.name, str(folder), words, run, logs, place, limited=True, resumable=True)
+            todo[task] = folder
+
+    def ended(task: Task, outcome: Outcome) -> None:
+        if outcome.answer is None:
+            print(f"{task.name}: {outcome.line}", file=sys.stderr, flush=True)
+            return
+        kept = todo[task].with_suffix(".json")
         partial = kept.with_suffix(".part")
-        partial.write_text(done.stdout)
+        partial.write_text(json.dumps(outcome.answer) + "\n")
         partial.replace(kept)
-    truth, found = json.loads((folder / "answer.json").read_text()), json.loads(kept.read_text())
-    told = {part: found["parameters"][f"{part}.youngs_modulus"] for part in truth["parts"]}
+
+    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
+    run_on_workers(list(todo), ended, **given)
+
+
+def told(folder: Path) -> dict[str, dict[str, float]]:
+    """By part, true E, fitted E and its standard error [Pa]."""
+    truth = json.loads((folder / "answer.json").read_text())
+    found = json.loads(folder.with_suffix(".json").read_text())
+    entries = {part: found["parameters"][f"{part}.youngs_modulus"] for part in truth["parts"]}
     return {
         part: {"true": truth["parts"][part]["E"], "value": entry["value"], "std": entry["std"]}
-        for part, entry in told.items()
+        for part, entry in entries.items()
     }
 
 
@@ -110,13 +136,19 @@ def main() -> int:
         print(f"--simulators: '{unknown[0]}'; expected some of {', '.join(SIMULATORS)}", file=sys.stderr)
         return 2
     options.out.mkdir(parents=True, exist_ok=True)
-    records = []
-    for seed in (int(s) for s in options.seeds.split(",")):
-        for simulator in simulators:
-            try:
-                records.append((simulator, seed, fitted(simulator, seed, options)))
-            except RuntimeError as error:
-                print(f"{simulator}, seed {seed}: {error}", file=sys.stderr, flush=True)
+    try:
+        check_distributed()
+        seeds = [int(s) for s in options.seeds.split(",")]
+        captures = {(name, seed): captured(name, seed, options) for seed in seeds for name in simulators}
+        fitted(list(captures.values()), options)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the same line goes on", file=sys.stderr)
+        return 130
+    done = {key: folder for key, folder in captures.items() if folder.with_suffix(".json").is_file()}
+    records = [(simulator, seed, told(folder)) for (simulator, seed), folder in done.items()]
     if not records:
         return 1
     lines = table(sorted(records, key=lambda r: r[0]))

@@ -13,6 +13,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from command_example import SPACING, answer, call, make_capture
+from mphygs.batch import cluster
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.folder_mark import is_marked
 from mphygs.commands import batch as command
@@ -143,7 +144,7 @@ class Ended:
 def here(monkeypatch: pytest.MonkeyPatch) -> Here:
     """The one worker that a batch finds in the place of a cluster of this machine."""
     pool = Here()
-    monkeypatch.setattr(command, "local_workers", lambda *_: contextlib.nullcontext(pool))
+    monkeypatch.setattr(cluster, "local_workers", lambda *_: contextlib.nullcontext(pool))
     monkeypatch.setattr(command, "check_distributed", lambda: None)
     return pool
 

@@ -118,6 +118,17 @@ def test_no_worker_has_more_than_its_threads() -> None:
     assert all(o.done for o in found.values())
 
 
+def test_what_can_be_run_after_a_run_is_run() -> None:
+    pool, ended = Steady({"a": 1}), []
+
+    def end(one: Task, outcome: Outcome) -> list[Task]:
+        ended.append(one.name)
+        return [task("t1"), task("t2")] if one.name == "t0" else []
+
+    dispatch([task("t0"), task("u")], pool, ended=end, look=lambda *_: None, tick=0)
+    assert pool.begun == ended == ["t0", "u", "t1", "t2"]
+
+
 def test_what_a_lost_worker_had_goes_to_another_one() -> None:
     pool = Steady({"a": 1, "b": 1}, lost={2: "a"})
     found = shared(pool, 4)

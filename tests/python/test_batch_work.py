@@ -58,6 +58,15 @@ def test_a_run_has_the_threads_of_its_worker(scripted: Path) -> None:
     assert heard(scripted)[1] == "segment --json"
 
 
+def test_what_a_run_took_is_told(scripted: Path) -> None:
+    held = "x = b'1' * 200_000_000"
+    busy = f"import time\n{held}\nwhile time.process_time() < 0.7: pass\ntime.sleep(0.5)\nprint('{{}}')"
+    (scripted / "mphygs.py").write_text(busy)
+    found = work.work(task("a", scripted), 1)
+    assert 0.6 < found.processor < found.seconds and found.seconds > 1.1
+    assert 2e8 < found.memory < 1e9
+
+
 def test_a_run_that_was_begun_goes_on_or_begins_anew(scripted: Path) -> None:
     for _ in range(2):
         assert work.work(task("a", scripted), 1).done

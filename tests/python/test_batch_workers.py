@@ -19,6 +19,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from command_example import answer, make_capture
+from mphygs.batch.cluster import UNWATCHED, local_workers
 from mphygs.commands import fit
 
 WITHOUT = importlib.util.find_spec("distributed") is None
@@ -108,6 +109,22 @@ def test_two_workers_of_this_machine_give_the_same_to_the_bit(
     for row in rows[:3]:
         value = load_file(alone[row["run"]] / "numbers.safetensors")["values"][0]
         assert float(row["bar.youngs_modulus [Pa]"]) == value
+
+
+def test_two_batches_at_a_time_do_not_meet_and_dask_watches_neither() -> None:
+    import dask
+    import distributed  # noqa: F401  # its own settings are there once it is
+
+    before = {key: dask.config.get(key, None) for key in UNWATCHED}
+    assert before != UNWATCHED
+    # a port that both ask for would be a warning, which fails
+    with local_workers(1, 1) as first, local_workers(1, 1) as second:
+        for pool in (first, second):
+            told = pool.client.run(lambda: {key: dask.config.get(key) for key in UNWATCHED})
+            assert list(told.values()) == [UNWATCHED]
+            assert len(pool.threads()) == 1
+        assert first.threads().keys() != second.threads().keys()
+    assert {key: dask.config.get(key, None) for key in UNWATCHED} == before
 
 
 @pytest.mark.parametrize("lost", ["worker", "run"])

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from command_example import answer, call
+from mphygs.baselines import homogeneous
 from mphygs.baselines.targets import Pictures
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.features import ColourFeatures
@@ -25,6 +26,7 @@ from mphygs.fit.of_run import experiment_of, pictured_of
 from mphygs.fit.pictured import Pictured
 from mphygs.fit.pictured_run import with_shares
 from mphygs.fit.run import load_run
+from mphygs.model.belief import Belief
 from mphygs.render.gaussian_features import gaussian_features
 from mphygs.render.video_loss import VideoWeights, video_loss
 from mphygs.scene.object_files import write_features
@@ -217,8 +219,17 @@ def test_parts_of_the_method_can_be_left_out(
     assert found["sequences"]["frog"]["fit"]["psnr"] > 10.0
 
 
-def test_homogeneous_has_one_material(capture: Path, stages: Path, fitted: dict, tmp_path: Path) -> None:
-    out = tmp_path / "run"
+def test_homogeneous_has_one_material(
+    capture: Path, stages: Path, fitted: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, loss = tmp_path / "run", homogeneous.silhouette_loss
+
+    def of_what_can_be_run(pictured: object, watched: object, belief: Belief) -> float:
+        if belief["object.youngs_modulus"].value < 2e4:
+            raise SimulationError("too soft")
+        return loss(pictured, watched, belief)
+
+    monkeypatch.setattr(homogeneous, "silhouette_loss", of_what_can_be_run)
     found = answer(fit.main, capture, "--out", out, "--stages", stages, "--baseline", "homogeneous", *OPTIONS)
     assert set(found["parameters"]) == {"object.youngs_modulus", "object.density"}
     truth = json.loads((capture / "answer.json").read_text())["parts"]

@@ -31,11 +31,9 @@ from mphygs.render.image_metrics import chamfer_distance
 from mphygs.render.splatting import splat
 from mphygs.simulate.errors import SimulationError
 
-# Young's moduli that are tried first [Pa], stiff ones first, and steps of the search between the best two.
+# Young's moduli that are tried first [Pa], and steps of the search about the best.
 TRIED = tuple(10.0**k for k in (6.5, 6.0, 5.5, 5.0, 4.5, 4.0, 3.5))
 SEARCHES = 8
-# After so many in a row that are worse than the best, or cannot be simulated, softer ones are not tried.
-PATIENCE = 2
 
 
 def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
@@ -49,7 +47,7 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
     watched = {name: watch(pictured, name, span, looks=False) for name, span in experiment.fitted.items()}
     key = f"{run.belief.parts[0]}.youngs_modulus"
     base = _of_known_mass(run.belief, experiment)
-    costs: list[float] = []
+    tried: list[float] = []
 
     def cost(log_modulus: float) -> float:
         belief = base.with_parameter(key, value=math.exp(log_modulus))
@@ -57,16 +55,18 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
             found = silhouette_loss(pictured, watched, belief)
         except SimulationError:
             found = math.inf
-        share = min((len(costs) + 1) / (len(TRIED) + SEARCHES), 1.0)
+        tried.append(found)
+        share = min(len(tried) / (len(TRIED) + SEARCHES), 1.0)
         progress(share, f"silhouettes: E {math.exp(log_modulus):.3g} Pa, loss {found:.5f}")
-        costs.append(found)
         return found
 
     best = _searched(cost)
     belief = base.with_parameter(key, value=math.exp(best))
     evaluation = experiment.problem(run.settings.spacing).evaluate(belief)
+    # what could not be simulated has no cost to tell
+    costs = tuple(found for found in tried if math.isfinite(found))
     record = StageRecord(
-        "silhouettes", run.settings.spacing, tuple(costs), True, "search done", time.monotonic() - began
+        "silhouettes", run.settings.spacing, costs, True, "search done", time.monotonic() - began
     )
     return replace(
         run.after(record, belief),
@@ -87,14 +87,7 @@ def _of_known_mass(belief: Belief, experiment: Experiment) -> Belief:
 
 def _searched(cost: Callable[[float], float]) -> float:
     """Logarithm of the modulus of least cost: the best of a few, then Brent's search about it."""
-    tried: list[tuple[float, float]] = []
-    worse = 0
-    for modulus in TRIED:
-        tried.append((cost(math.log(modulus)), math.log(modulus)))
-        best = min(tried)
-        worse = 0 if best is tried[-1] else worse + 1
-        if math.isfinite(best[0]) and worse >= PATIENCE:
-            break
+    best = min((cost(math.log(modulus)), math.log(modulus)) for modulus in TRIED)
     if not math.isfinite(best[0]):
         raise SimulationError("no stiffness between 3 kPa and 3 MPa could be simulated")
     step = math.log(TRIED[0] / TRIED[1])

@@ -21,9 +21,9 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 # By how much steps shrink where one led to a motion that cannot be computed.
 SHORTER = 0.5
 
-# How many times the usual stiffness is tried first, as powers of ten, stiff ones first: too soft, an object
-# falls through many a place where it once was. After so many in a row that are worse than the best, no more.
-TRIED, PATIENCE = tuple(np.arange(1.5, -1.6, -0.25)), 2
+# How many times the usual stiffness is tried first, as powers of ten. All of them: what swings faster than it
+# should is as far off as what hardly moves, so costs fall and rise again on the way to the best.
+TRIED = tuple(np.arange(1.5, -1.6, -0.25))
 
 Values = dict[str, np.ndarray]
 # Told the share of the work done, and a line.
@@ -156,7 +156,6 @@ def begun_at(
     Raises SimulationError where none can be run.
     """
     best: tuple[float, Values] | None = None
-    worse = 0
     for power in TRIED:
         values = values_at(power)
         try:
@@ -164,11 +163,8 @@ def begun_at(
         except SimulationError:
             continue
         progress(0.0, f"{name}: 10^{power:+.2f} times as stiff as usual, {_said(cost, pictures)}")
-        worse += 1
         if best is None or cost < best[0]:
-            best, worse = (cost, values), 0
-        if worse >= PATIENCE:
-            break
+            best = cost, values
     if best is None:
         raise SimulationError(f"{name}: no stiffness that was tried could be run")
     return best[1]

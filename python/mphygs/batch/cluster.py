@@ -11,12 +11,19 @@ from typing import TYPE_CHECKING
 from mphygs.batch.dispatch import Handle
 from mphygs.batch.work import FAILED, Outcome, Task, work
 from mphygs.capture.errors import one_line
+from mphygs.simulate.settings import available_cores
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 # Seconds within which a scheduler answers, and a cluster is shut down.
 ANSWER = 10.0
+# What dask looks at a hundred times a second to tell where time goes, in every process of it: nobody asks.
+UNWATCHED = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+}
 
 
 def check_distributed() -> None:
@@ -91,17 +98,43 @@ def _withdrawn() -> Callable[[], bool]:
 
 
 @contextlib.contextmanager
+def workers_for(
+    count: int, *, workers: int | None, threads: int | None, scheduler: str | None
+) -> Iterator[Workers | None]:
+    """Workers for so many runs, those of a scheduler where its address is given; none where there is no run.
+
+    workers: processes on this machine, default: one a core; threads: of each, default: the cores, shared out.
+    Raises ValueError where no scheduler answers.
+    """
+    if not count:
+        yield None
+        return
+    if scheduler is not None:
+        with workers_of_scheduler(scheduler, "--scheduler") as found:
+            yield found
+        return
+    cores = available_cores()
+    workers = workers or min(cores, count)
+    with local_workers(workers, threads or max(1, cores // workers)) as found:
+        yield found
+
+
+@contextlib.contextmanager
 def local_workers(workers: int, threads: int) -> Iterator[Workers]:
     """Worker processes on this machine, which alone can reach them; one that ends is begun anew."""
+    import dask
     from distributed import Client, LocalCluster, Security
 
     with (
         _quiet(),
+        dask.config.set(UNWATCHED),
         LocalCluster(
             n_workers=workers,
             threads_per_worker=threads,
             processes=True,
-            dashboard_address=None,
+            # its pages are at any port that is free: a second batch may be under way
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
             worker_dashboard_address=None,
             memory_limit=None,
             silence_logs=logging.CRITICAL,  # of the worker processes

@@ -56,25 +56,30 @@ def dispatch(
     tasks: Sequence[Task],
     pool: Pool,
     *,
-    ended: Callable[[Task, Outcome], None],
+    ended: Callable[[Task, Outcome], Sequence[Task] | None],
     look: Callable[[Sequence[Running], int], None],
     threads: int | None = None,
     tick: float = 0.2,
 ) -> None:
     """Run all tasks, each once. threads: of every run; default: all those of its worker, one run at a time.
 
-    No worker has more runs at a time than it has threads for. ended: told what came of a task; look: every
-    `tick` seconds, of the runs under way and the number of workers. An interruption stops what is under way.
+    No worker has more runs at a time than it has threads for. ended: told what came of a task, and may say
+    which can be run after it; look: told every `tick` seconds of the runs under way and the number of
+    workers. An interruption stops what is under way.
     """
     waiting, lost = deque(tasks), Counter()
     running: list[Running] = []
+
+    def end(task: Task, outcome: Outcome) -> None:
+        waiting.extend(ended(task, outcome) or ())
+
     try:
         while waiting or running:
             there = pool.threads()
             for one in list(running):
                 if one.handle.done():
                     running.remove(one)
-                    ended(one.task, one.handle.result())
+                    end(one.task, one.handle.result())
                 elif one.address not in there:
                     running.remove(one)
                     one.handle.cancel()
@@ -83,7 +88,7 @@ def dispatch(
                         waiting.appendleft(one.task)
                     else:
                         line = f"{MOST_LOST} workers were lost with it; expected one that it does not end"
-                        ended(one.task, Outcome(FAILED, line, None, 0.0))
+                        end(one.task, Outcome(FAILED, line, None, 0.0))
             while waiting and (free := _free(there, running, threads)):
                 task = waiting.popleft()
                 running.append(Running(task, *free, pool.submit(free[0], task, free[1])))

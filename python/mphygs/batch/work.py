@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -26,6 +27,8 @@ THREADS = (
 TICK = 0.2
 # How long a process outlives the worker that began it, at most [s].
 PATIENCE = 30.0
+# Bytes of what the system counts memory in.
+_MEMORY = 1 if sys.platform == "darwin" else 1024
 # Exit codes of a command that fails, and of one that refuses its input or its options.
 FAILED, REFUSED = 1, 2
 
@@ -66,12 +69,15 @@ class Task:
 @dataclass(frozen=True)
 class Outcome:
     """What came of a run. code: exit code; line: that it failed with; answer: its JSON, None where it failed;
-    seconds: it took, those before an interruption not counted."""
+    seconds, processor: that it took, and those of the processor, what was before an interruption not counted;
+    memory: at its peak [byte]."""
 
     code: int
     line: str
     answer: dict[str, object] | None
     seconds: float
+    processor: float = 0.0
+    memory: int = 0
 
     @property
     def done(self) -> bool:
@@ -123,7 +129,7 @@ def _run(
             env=environment,
             start_new_session=True,
         )
-        while process.poll() is None:
+        while (usage := _usage(process)) is None:
             if withdrawn() and not process.stdin.closed:
                 process.stdin.close()
             time.sleep(TICK)
@@ -131,7 +137,17 @@ def _run(
         said.seek(0)
         answer = _answer(said.read()) if process.returncode == 0 else None
     line = "" if answer is not None else _complaint(task, process.returncode)
-    return Outcome(process.returncode, line, answer, time.monotonic() - begin)
+    seconds, processor = time.monotonic() - begin, usage.ru_utime + usage.ru_stime
+    return Outcome(process.returncode, line, answer, seconds, processor, _MEMORY * usage.ru_maxrss)
+
+
+def _usage(process: subprocess.Popen) -> resource.struct_rusage | None:
+    """What a process that has ended has used, with all that it began; None while it runs."""
+    ended, status, usage = os.wait4(process.pid, os.WNOHANG)
+    if not ended:
+        return None
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return usage
 
 
 def _answer(said: bytes) -> dict[str, object] | None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +14,7 @@ from typing import Annotated
 import tyro
 
 from mphygs.batch.batch_folder import DOCUMENT, PAGE, TABLE, BatchFolder, read_order, remove_outcomes
-from mphygs.batch.cluster import Workers, check_distributed, local_workers, workers_of_scheduler
+from mphygs.batch.cluster import check_distributed, workers_for
 from mphygs.batch.dispatch import dispatch
 from mphygs.batch.order import Order
 from mphygs.batch.summary import row_of, text_of
@@ -27,7 +26,6 @@ from mphygs.commands.command import DONE, FAILED, Answer, run
 from mphygs.commands.console import Console
 from mphygs.commands.fit_begun import RUNS
 from mphygs.commands.options import CommonOptions, OptionError, split_names
-from mphygs.simulate.settings import available_cores
 
 PROGRAM = "mphygs batch"
 
@@ -83,7 +81,8 @@ def batch_command(options: BatchOptions, passed: tuple[str, ...], console: Conso
     check_distributed()
     folder = BatchFolder.of(order, out, tasks if options.resume else ())
     todo = [task for task in tasks if not folder.done(task)]
-    with _workers(options, len(todo)) as pool:
+    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
+    with workers_for(len(todo), **given) as pool:
         folder_inside(out, LOGS)
         if not options.resume:
             remove_outcomes(tasks)
@@ -176,22 +175,6 @@ def _seeds(text: str | None) -> tuple[int, ...]:
     if any(not 0 <= seed < 1 << 64 for seed in found) or len(set(found)) < len(found):
         raise OptionError(f"--seeds: got '{text}'; expected numbers of 0 or more, each once")
     return found
-
-
-@contextlib.contextmanager
-def _workers(options: BatchOptions, count: int) -> Iterator[Workers | None]:
-    """The workers of these options, for so many runs; none where there are no runs."""
-    if not count:
-        yield None
-        return
-    if options.scheduler is not None:
-        with workers_of_scheduler(options.scheduler, "--scheduler") as found:
-            yield found
-        return
-    cores = available_cores()
-    workers = options.workers or min(cores, count)
-    with local_workers(workers, options.threads or max(1, cores // workers)) as found:
-        yield found
 
 
 def _again(options: BatchOptions) -> str:
