@@ -22,8 +22,8 @@ FRAMES, KEY = 6, "part0.youngs_modulus"
 
 
 @cache
-def jerked(jump: float = 0.05) -> tuple[Predictor, Belief]:
-    """A soft sheet, its hold 5 cm higher a sixtieth of a second later, and 10 cm lower after two more."""
+def jerked(jump: float = 0.1) -> tuple[Predictor, Belief]:
+    """A soft sheet, its hold 10 cm higher a sixtieth of a second later, and 20 cm lower after two more."""
     motion = np.zeros((FRAMES, 3))
     motion[2:, 2], motion[4:, 2] = jump, -jump
     capture = held_capture([strip(0.04, 0.02, held=0.003)], frames=FRAMES, motion=motion)
