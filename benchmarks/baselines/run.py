@@ -16,6 +16,7 @@ import shutil
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -23,8 +24,7 @@ import tyro
 from table import markdown
 
 from mphygs.baselines.kinds import NAMES
-from mphygs.batch.cluster import check_distributed
-from mphygs.batch.run_on_workers import run_on_workers
+from mphygs.batch.run_on_workers import exit_code_of, run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.capture.motions import HoldMovement
@@ -170,8 +170,7 @@ def records_of(rows: list[Row], options: Options) -> list[dict[str, object]]:
         found[todo[task]] = todo[task].keep(outcome, whole=task not in begun)
         print(f"{task.name}: {outcome.line or 'done'}", file=sys.stderr, flush=True)
 
-    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_on_workers(list(todo), ended, **given)
+    run_on_workers(list(todo), ended, options)
     return list(found.values())
 
 
@@ -187,19 +186,15 @@ def chosen(text: str, known: tuple[str, ...]) -> list[str]:
 def main() -> int:
     """Run, print, and keep everything in the output folder."""
     options = tyro.cli(Options, config=(tyro.conf.FlagCreatePairsOff,))
-    try:
-        cases, rows = chosen(options.cases, tuple(CASES)), chosen(options.rows, ROWS)
-        seeds = [int(seed) for seed in options.seeds.split(",")]
-        check_distributed()
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
+    return exit_code_of(lambda: tabled(options), partial(print, file=sys.stderr))
+
+
+def tabled(options: Options) -> int:
+    """Run all that is asked for and tell it; the exit code. Raises ValueError for unknown names."""
+    cases, rows = chosen(options.cases, tuple(CASES)), chosen(options.rows, ROWS)
+    seeds = [int(seed) for seed in options.seeds.split(",")]
     wanted = [Row.of(case, seed, row, options) for case in cases for seed in seeds for row in rows]
-    try:
-        records = records_of(wanted, options)
-    except KeyboardInterrupt:
-        print("interrupted; the same line goes on", file=sys.stderr)
-        return 130
+    records = records_of(wanted, options)
     text = markdown(records)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "table.md").write_text(text + "\n")

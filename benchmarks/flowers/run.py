@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -20,8 +21,7 @@ from flower import VARIANTS, Flower
 from judge import segments
 from table import document, markdown
 
-from mphygs.batch.cluster import check_distributed
-from mphygs.batch.run_on_workers import run_on_workers
+from mphygs.batch.run_on_workers import exit_code_of, run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.capture.stages import STAGES
@@ -79,8 +79,7 @@ def grown(flowers: list[Flower], options: Options) -> None:
         of.update((one.name, flower) for one in after)
         return after
 
-    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_on_workers(list(first), ended, **given)
+    run_on_workers(list(first), ended, options)
 
 
 def segmented(options: Options, species: list[str]) -> int:
@@ -119,18 +118,15 @@ def main() -> int:
         if name not in known:
             print(f"'{name}': expected some of {', '.join(known)}", file=sys.stderr)
             return 2
-    try:
-        check_distributed()
-        if options.segments_only:
-            return segmented(options, species)
-        flowers = [Flower(options, name, variants) for name in species]
-        grown(flowers, options)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the same line goes on", file=sys.stderr)
-        return 130
+    return exit_code_of(lambda: tabled(species, variants, options), partial(print, file=sys.stderr))
+
+
+def tabled(species: list[str], variants: list[str], options: Options) -> int:
+    """Run all that is asked for, and tell it. Returns the exit code."""
+    if options.segments_only:
+        return segmented(options, species)
+    flowers = [Flower(options, name, variants) for name in species]
+    grown(flowers, options)
     records = [flower.result(variant) for flower in flowers for variant in variants]
     found = document(records)
     (options.out / "table.json").write_text(json.dumps(found, indent=1) + "\n")

@@ -14,14 +14,14 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
 
-from mphygs.batch.cluster import check_distributed
-from mphygs.batch.run_on_workers import run_on_workers
+from mphygs.batch.run_on_workers import exit_code_of, run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.capture.json_values import plain
 from mphygs.model.registry import effects
@@ -139,8 +139,7 @@ def records_of(kinds: Sequence[str], seeds: Sequence[int], options: Options) -> 
         z = ", ".join(f"{value:.2f}" for value in entry["z"].values())
         print(f"{kind}, seed {seed}: {entry['verdict']}; {named}; z {z}", file=sys.stderr, flush=True)
 
-    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_on_workers(list(todo), ended, **given)
+    run_on_workers(list(todo), ended, options)
     return [json.loads(path.read_text()) for path in paths.values() if path.is_file()]
 
 
@@ -151,15 +150,12 @@ def main() -> int:
     if unknown := [k for k in kinds if k not in NOISES]:
         print(f"--kinds: '{unknown[0]}'; expected some of {', '.join(NOISES)}", file=sys.stderr)
         return 2
-    try:
-        check_distributed()
-        records = records_of(kinds, [int(s) for s in options.seeds.split(",")], options)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the same line goes on", file=sys.stderr)
-        return 130
+    return exit_code_of(lambda: tabled(kinds, options), partial(print, file=sys.stderr))
+
+
+def tabled(kinds: Sequence[str], options: Options) -> int:
+    """Run all that is asked for, and tell it. Returns the exit code."""
+    records = records_of(kinds, [int(s) for s in options.seeds.split(",")], options)
     if not records:
         return 1
     print("\n".join(rows(records)), file=sys.stderr if options.json else sys.stdout)

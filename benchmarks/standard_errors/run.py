@@ -15,14 +15,14 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
 
-from mphygs.batch.cluster import check_distributed
-from mphygs.batch.run_on_workers import run_on_workers
+from mphygs.batch.run_on_workers import exit_code_of, run_on_workers
 from mphygs.batch.work import Outcome, Task
 from mphygs.synth.make import make_capture
 from mphygs.synth.recipe import SIMULATORS, recipe
@@ -91,8 +91,7 @@ def fitted(captures: Sequence[Path], options: Options) -> None:
         partial.write_text(json.dumps(outcome.answer) + "\n")
         partial.replace(kept)
 
-    given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-    run_on_workers(list(todo), ended, **given)
+    run_on_workers(list(todo), ended, options)
 
 
 def told(folder: Path) -> dict[str, dict[str, float]]:
@@ -136,17 +135,14 @@ def main() -> int:
         print(f"--simulators: '{unknown[0]}'; expected some of {', '.join(SIMULATORS)}", file=sys.stderr)
         return 2
     options.out.mkdir(parents=True, exist_ok=True)
-    try:
-        check_distributed()
-        seeds = [int(s) for s in options.seeds.split(",")]
-        captures = {(name, seed): captured(name, seed, options) for seed in seeds for name in simulators}
-        fitted(list(captures.values()), options)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the same line goes on", file=sys.stderr)
-        return 130
+    return exit_code_of(lambda: tabled(simulators, options), partial(print, file=sys.stderr))
+
+
+def tabled(simulators: Sequence[str], options: Options) -> int:
+    """Run all that is asked for, and tell it. Returns the exit code."""
+    seeds = [int(s) for s in options.seeds.split(",")]
+    captures = {(name, seed): captured(name, seed, options) for seed in seeds for name in simulators}
+    fitted(list(captures.values()), options)
     done = {key: folder for key, folder in captures.items() if folder.with_suffix(".json").is_file()}
     records = [(simulator, seed, told(folder)) for (simulator, seed), folder in done.items()]
     if not records:
