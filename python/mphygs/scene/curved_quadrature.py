@@ -250,7 +250,7 @@ def rods_doubled(quadrature: Quadrature) -> Quadrature:
     """Sixteen points for each cell of a rod, in two blocks: one's points, and as many turned about the rod.
 
     Eight see too little of a section: its quarters may turn against each other without any strain at four
-    points. Both blocks have the moments of order 0, 1 and 2 of the material.
+    points. Both blocks have the same moments of order 0, 1 and 2, those of the material across it.
     """
     rods = [n for n, chart in enumerate(quadrature.charts) if chart is not None and chart.kind == "rod"]
     mine = np.isin(quadrature.part, rods)
