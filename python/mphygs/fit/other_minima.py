@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise
+from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise, report_of_iterations
 from mphygs.fit.problem import Problem
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -32,20 +32,25 @@ ALONG, FLAT = (4.0, 8.0, 16.0), 0.5
 SAME = 0.1
 
 
-def other_minima(problem: Problem, belief: Belief) -> list[Belief]:
+def other_minima(
+    problem: Problem, belief: Belief, report: Callable[[str], None] | None = None
+) -> list[Belief]:
     """Minima other than that of a belief, reached from where one part is softer or stiffer than there.
 
-    problem: on the coarse grid. One free stiffness has no other part's to be taken for: its scale has been
-    looked for already.
+    problem: on the coarse grid; report: told of every iteration. One free stiffness has no other part's to be
+    taken for: its scale has been looked for already.
     """
     moduli = [p.key for p in belief.free if p.key.endswith(".youngs_modulus")]
     if len(moduli) < 2:
         return []
     least = problem.evaluate(belief, jacobian=False).cost
     found: list[tuple[float, Belief]] = []
+    tell = report_of_iterations(report, "another minimum")
     for trial in _starts(belief, moduli):
         try:
-            other = minimise(problem, trial, iterations=ITERATIONS, relative_tolerance=ACCURACY)
+            other = minimise(
+                problem, trial, iterations=ITERATIONS, relative_tolerance=ACCURACY, report=tell
+            )
         except SimulationError:
             continue
         if not any(_same(other.belief, known, moduli) for known in (belief, *(b for _, b in found))):

@@ -175,7 +175,7 @@ def fit_belief(
             solution = on_by_part(problem, solution, again, accuracy=stage.accuracy, say=report)
         if number and stage.share == plan[number - 1].share and misfit < HOPELESS:
             coarse = problem_at(plan[number - 1].spacing)
-            solution = lowest_of(problem, solution, other_minima(coarse, last), report, **given)
+            solution = lowest_of(problem, solution, other_minima(coarse, last, report), report, **given)
         if number + 1 == len(plan) and solution.evaluation.misfit < HOPELESS:
             lower = lowest_of(problem, solution, lower_along(problem, solution)[:1], report, **given)
             solution = replace(lower, start=solution.start)  # the minimum of the coarser grid is the same
