@@ -53,6 +53,20 @@ void bind(py::module_& m, const char* name) {
                                    return to_array(std::move(index), {n, 3});
                                })
         .def("node_mass", [](const Model& self, const py::dict& fields) { return to_array(self.node_mass(to_fields<T>(fields)), {static_cast<py::ssize_t>(self.node_count())}); })
+        .def("shared_mass",
+             [](const Model& self, const py::dict& fields) {
+                 const SharedMass<T> shared = self.shared_mass(to_fields<T>(fields));
+                 std::vector<std::int32_t> node;
+                 std::vector<T> value;
+                 for (Eigen::Index n = 0; n < shared.outerSize(); ++n) {
+                     for (typename SharedMass<T>::InnerIterator it(shared, n); it; ++it) {
+                         node.insert(node.end(), {static_cast<std::int32_t>(n), static_cast<std::int32_t>(it.col())});
+                         value.push_back(it.value());
+                     }
+                 }
+                 const auto count = static_cast<py::ssize_t>(value.size());
+                 return py::make_tuple(to_array(std::move(node), {count, 2}), to_array(std::move(value), {count}));
+             })
         .def("rest_forces", [](const Model& self, const py::dict& fields) { return to_array(self.rest_forces(to_fields<T>(fields)), {static_cast<py::ssize_t>(self.node_count()), 3}); })
         .def("weights",
              [](const Model& self, const Array<double>& points, const Array<std::int32_t>& cell) {

@@ -359,8 +359,19 @@ TEST_P(ImplicitGradient, MatrixIsTheDerivativeOfAStepsVelocity) {
         e[i] = direction.velocity0[static_cast<std::size_t>(i)];
         left[i] = 2 * e[i] - t[1].velocity[size + static_cast<std::size_t>(i)];
     }
+    // Beside the forces of an explicit step nodes of an implicit one push each other by what they share of their mass.
+    const std::vector<double> mass = model.node_mass(fields);
+    const SharedMass<double> shared = model.shared_mass(fields);
+    EXPECT_EQ(shared.nonZeros() > 0, !g.curved_node.empty());
+    push_each_other<double>(
+        shared, [&](std::size_t n, std::size_t c) { return direction.velocity0[3 * n + c]; },
+        [&](std::size_t n, std::size_t c, double force) {
+            if (mass[n] > 0.0) {
+                left[static_cast<Eigen::Index>(3 * n + c)] -= force / mass[n];
+            }
+        });
     Team alone;
-    MidpointMatrix matrix(g, model.constraint_node(), model.coupled_nodes(), model.node_mass(fields));
+    MidpointMatrix matrix(g, model.constraint_node(), model.coupled_nodes(), mass, shared);
     std::vector<double> u(3 * padded), v(3 * padded);
     for (std::size_t i = 0; i < size; ++i) {
         u[i % 3 * padded + i / 3] = fields.displacement0[i];

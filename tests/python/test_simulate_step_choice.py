@@ -11,7 +11,7 @@ from bar_capture import bar_belief, bar_capture
 from mphygs.capture.format import Capture, Known, Markers
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import IMPLICIT, Settings
-from mphygs.simulate.step_choice import FEWEST, SHARE, steps_a_frame
+from mphygs.simulate.step_choice import FEWEST, FEWEST_PAIRED, SHARE, steps_a_frame, steps_to_predict
 
 FPS, FRAMES = 60.0, 120
 
@@ -45,6 +45,7 @@ def test_a_swing_gets_the_steps_that_its_delay_asks_for(hertz: float, size: floa
     assert expected > 1.2 * FEWEST
     assert steps_a_frame(capture.sequences[0]) == pytest.approx(expected, rel=0.15)
     assert steps_a_frame(capture.sequences[0], paired=True) == pytest.approx(expected * 2**0.5, rel=0.15)
+    assert FEWEST < FEWEST_PAIRED < 1.5 * FEWEST + 1
 
 
 @pytest.mark.parametrize(("paired", "share"), [(False, 1 / 12), (True, 1 / 6)])
@@ -61,6 +62,15 @@ def test_noise_and_rest_ask_for_no_more_steps_than_the_fewest() -> None:
     for sigma in (1e-6, 1e-3):
         assert steps_a_frame(measured(capture, still, sigma).sequences[0]) == FEWEST
     assert steps_a_frame(replace(capture.sequences[0], markers=None)) == FEWEST
+
+
+def test_a_motion_that_is_not_fitted_has_steps_as_short_as_those_that_are() -> None:
+    swing = 0.02 * np.sin(2 * np.pi * 6.0 * np.arange(FRAMES) / FPS)
+    swift, slow = (measured(beam(), s, 1e-5).sequences[0] for s in (swing, 0.01 * swing))
+    other = replace(slow, name="b", fps=2 * FPS, fit=(0, 0), predict=(0, FRAMES))
+    assert steps_to_predict(swift, (swift, other)) == steps_a_frame(swift)
+    assert steps_to_predict(slow, (swift, slow)) == steps_a_frame(slow) < steps_a_frame(swift)
+    assert 2 * steps_to_predict(other, (swift, other)) in (steps_a_frame(swift), steps_a_frame(swift) + 1)
 
 
 def test_frames_that_are_not_fitted_are_not_looked_at() -> None:

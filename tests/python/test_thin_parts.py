@@ -82,8 +82,8 @@ def test_frequencies_of_a_clamped_rod() -> None:
     capture = held_capture([rod(length, radius, sides=48)])
     found = frequencies(capture, 0.004, 12, youngs_modulus=modulus, poissons_ratio=0.3)
     bending = BENDING**2 / length**2 * np.sqrt(modulus * radius**2 / 4 / DENSITY) / (2 * np.pi)
-    np.testing.assert_allclose(found[[0, 1]], bending[0], rtol=1e-2)
-    np.testing.assert_allclose(found[[2, 3]], bending[1], rtol=1.5e-2)
+    np.testing.assert_allclose(found[[0, 1]], bending[0], rtol=3e-3)
+    np.testing.assert_allclose(found[[2, 3]], bending[1], rtol=1e-2)
     np.testing.assert_allclose(found[[4, 5]], bending[2], rtol=3e-2)
     torsion = np.sqrt(modulus / 2.6 / DENSITY) / (4 * length)
     assert np.abs(found / torsion - 1.0).min() < 1e-2
@@ -97,14 +97,14 @@ def test_frequencies_of_a_clamped_strip_converge_with_the_square_of_a_cell() -> 
     for spacing in (0.01, 0.005):
         found = frequencies(capture, spacing, 5, youngs_modulus=modulus, poissons_ratio=0.0)
         error = np.abs(found[:, None] / theory - 1.0).min(axis=0)
-        assert (error < 0.3 * (BENDING * spacing / length) ** 2).all(), error
+        assert (error < 0.15 * (BENDING * spacing / length) ** 2).all(), error
 
 
 def test_a_cupped_leaf_does_not_lock() -> None:
     """Cells twelve times as long as it is thick, beside such of less than seven."""
     capture = held_capture([leaf()], box=[[-1, -1, -1], [2e-3, 1, 1]])
     coarse, fine = (frequencies(capture, h, 2, youngs_modulus=5e6) for h in (3.5e-3, 2e-3))
-    assert coarse[0] == pytest.approx(fine[0], rel=2e-2)
+    assert coarse[0] == pytest.approx(fine[0], rel=3e-2)
 
 
 @pytest.mark.slow

@@ -111,14 +111,8 @@ void TotalLagrangian<T>::set_points(const double (&s)[8][3], const std::int32_t*
 /// so that a rigid turn has the momentum and the energy that it has. Where the points lie to one side so far that one of
 /// these were negative, the variance is taken that makes it none.
 template <class T>
-MassTable<T> TotalLagrangian<T>::mass_table(const double (&s)[8][3], const std::int32_t* cell, const ValueTable<T>& value) const {
-    MassTable<T> mass;
-    if (!is_curved(cell[0])) {
-        std::copy_n(value.by_node, 27, mass.by_node);
-        return mass;
-    }
+void TotalLagrangian<T>::mass_shares(const double (&s)[8][3], const std::int32_t* cell, double (&share)[3][8][3]) const {
     const std::array<bool, 3>& spanned = spanned_[static_cast<std::size_t>(geometry_.grid_of(cell[0]))];
-    double share[3][8][3];  // axis, point, node
     for (int c = 0; c < 3; ++c) {
         double mean = 0, square = 0;
         for (int q = 0; q < 8; ++q) {
@@ -134,6 +128,17 @@ MassTable<T> TotalLagrangian<T>::mass_table(const double (&s)[8][3], const std::
             }
         }
     }
+}
+
+template <class T>
+MassTable<T> TotalLagrangian<T>::mass_table(const double (&s)[8][3], const std::int32_t* cell, const ValueTable<T>& value) const {
+    MassTable<T> mass;
+    if (!is_curved(cell[0])) {
+        std::copy_n(value.by_node, 27, mass.by_node);
+        return mass;
+    }
+    double share[3][8][3];
+    mass_shares(s, cell, share);
     for (int a = 0; a < 27; ++a) {
         for (int q = 0; q < 8; ++q) {
             mass.by_node[a][q] = static_cast<T>(share[0][q][a / 9] * share[1][q][(a / 3) % 3] * share[2][q][a % 3]);
@@ -169,6 +174,7 @@ CellSprings<T> TotalLagrangian<T>::curved_springs(std::size_t block) const {
     template void TotalLagrangian<T>::in_cell(const double*, const std::int32_t*, double (&)[3]) const;                      \
     template void TotalLagrangian<T>::weights_at(const double (&)[3], const std::int32_t*, double (&)[27], double (&)[27][3]) const; \
     template void TotalLagrangian<T>::set_points(const double (&)[8][3], const std::int32_t*, GradientTable<T>&, ValueTable<T>&) const; \
+    template void TotalLagrangian<T>::mass_shares(const double (&)[8][3], const std::int32_t*, double (&)[3][8][3]) const;   \
     template MassTable<T> TotalLagrangian<T>::mass_table(const double (&)[8][3], const std::int32_t*, const ValueTable<T>&) const; \
     template CurvedCell TotalLagrangian<T>::curved_cell(const std::int32_t*) const;                                          \
     template CellSprings<T> TotalLagrangian<T>::curved_springs(std::size_t) const;

@@ -248,6 +248,7 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         require(n >= 0, "a hold or tie is attached to a node without material");
         constraint_node_.push_back(n);
     }
+    share_mass();
     geometry_.actuation.settle(node_count(), g.hold_count);
 }
 

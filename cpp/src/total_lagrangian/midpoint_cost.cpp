@@ -20,7 +20,9 @@ MidpointCost midpoint_cost(std::size_t blocks, const MidpointMatrix& matrix) {
 
 template <class T>
 MidpointCost midpoint_cost(const TotalLagrangian<T>& model) {
-    const MidpointMatrix matrix(model.geometry(), model.constraint_node(), model.coupled_nodes(), std::vector<double>(model.node_count(), 1.0));
+    const Eigen::Index count = static_cast<Eigen::Index>(model.node_count());
+    const MidpointMatrix matrix(model.geometry(), model.constraint_node(), model.coupled_nodes(), std::vector<double>(model.node_count(), 1.0),
+                                Eigen::SparseMatrix<double>(count, count));
     return midpoint_cost(model.geometry().block_count(), matrix);
 }
 

@@ -6,7 +6,8 @@
 
 namespace mphygs {
 
-MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass) {
+MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass,
+                               const Eigen::SparseMatrix<double>& shared) {
     const std::size_t count = mass.size();
     mass_.resize(static_cast<Eigen::Index>(3 * count));
     for (Eigen::Index i = 0; i < mass_.size(); ++i) {
@@ -51,6 +52,14 @@ MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t
     rows_.setFromTriplets(rows.begin(), rows.end());
     matrix_.resize(all, all);
     matrix_.setFromTriplets(entries.begin(), entries.end());
+    inertia_.assign(static_cast<std::size_t>(matrix_.nonZeros()), 0.0);
+    for (Eigen::Index column = 0; column < nodes3(); ++column) {
+        const int c = static_cast<int>(column % 3);
+        inertia_[static_cast<std::size_t>(entry(static_cast<int>(column / 3), column) + c)] = mass_[column];
+        for (Eigen::SparseMatrix<double>::InnerIterator it(shared, column / 3); it; ++it) {
+            inertia_[static_cast<std::size_t>(entry(static_cast<int>(it.row()), column) + c)] -= it.value();
+        }
+    }
     // Every node by itself, and the rows of every hold and joint.
     std::vector<std::vector<int>> vertices(count);
     std::vector<bool> last(count, false);
@@ -72,8 +81,9 @@ MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t
 
 void MidpointMatrix::clear() {
     for (Eigen::Index column = 0; column < nodes3(); ++column) {
-        for (Eigen::SparseMatrix<double>::InnerIterator it(matrix_, column); it && it.row() < nodes3(); ++it) {
-            it.valueRef() = it.row() == column ? mass_[column] : 0.0;
+        const Eigen::Index begin = matrix_.outerIndexPtr()[column], end = matrix_.outerIndexPtr()[column + 1];
+        for (Eigen::Index i = begin; i < end && matrix_.innerIndexPtr()[i] < nodes3(); ++i) {
+            matrix_.valuePtr()[i] = inertia_[static_cast<std::size_t>(i)];
         }
     }
 }

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.sparse import bmat, coo_matrix, csc_matrix, diags, identity, kron
+from scipy.sparse import bmat, coo_matrix, csc_matrix, diags, identity, kron, spmatrix
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from mphygs import _core
@@ -80,7 +80,7 @@ def natural_modes(predictor: Predictor, belief: Belief, count: int) -> Modes:
     hook = forces_of(belief, body, np.float64, fields["mass"])
     free = _Unheld(body, fields, core_effects(belief), belief.law, more, hook)
     shape, squared = _lowest(
-        free.stiffness(), np.repeat(free.mass, 3), held_rows(body, free.model.node_index), count
+        free.stiffness(), kron(free.inertia, identity(3)), held_rows(body, free.model.node_index), count
     )
     slowed = free.accelerations([{"velocity0": s} for s in np.moveaxis(shape, -1, 0)])
     damping = -np.einsum("n,nci,jnc->ij", free.mass, shape, slowed)
@@ -96,12 +96,13 @@ def lowest_modes(
     fields: of the core, the material alone; inertia: (3,) factors on the mass by axis.
     """
     free = _Unheld(body, fields, (), "neo-hookean", {}, None)
-    weights = (free.mass[:, None] * inertia).ravel()
+    weights = kron(free.inertia, diags(inertia))
     return _lowest(free.stiffness(), weights, held_rows(body, free.model.node_index), count)
 
 
 class _Unheld:
-    """A body let go of at rest: its mass (N,) [kg], and how its acceleration changes."""
+    """A body let go of at rest: its lumped mass (N,) and inertia (N, N) [kg], and how its acceleration
+    changes: that which forces give the lumped mass."""
 
     def __init__(
         self,
@@ -117,6 +118,8 @@ class _Unheld:
         self.model = _core.TotalLagrangianFloat64(free | more, {"active": list(active), "law": law})
         mass = np.asarray(self.model.node_mass(fields), float)
         self.mass = np.maximum(mass, 1e-9 * mass.mean())
+        nodes, shared = self.model.shared_mass(fields)
+        self.inertia = diags(self.mass) - coo_matrix((shared, nodes.T), shape=(len(mass), len(mass)))
         still = np.zeros((len(mass), 3))
         self._fields = fields | {"displacement0": still, "velocity0": still}
         self._hook = hook
@@ -133,13 +136,14 @@ class _Unheld:
 
 
 def _lowest(
-    stiffness: csc_matrix, weights: np.ndarray, held: csc_matrix, count: int
+    stiffness: csc_matrix, inertia: spmatrix, held: csc_matrix, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shapes (N, 3, m) and squared frequencies of the lowest modes with `held` (R, N) u = 0. weights: (3 N,)
-    inertia [kg]."""
-    size = len(weights)
+    """Shapes (N, 3, m) and squared frequencies of the lowest modes with `held` (R, N) u = 0. inertia:
+    (3 N, 3 N) [kg]."""
+    size = inertia.shape[0]
+    inertia = csc_matrix(inertia)
     count = min(count, size - 3 * held.shape[0] - 1)
-    shifted = csc_matrix(stiffness - SHIFT * diags(weights))
+    shifted = csc_matrix(stiffness - SHIFT * inertia)
     whole = shifted
     if held.shape[0]:
         # Scaled like the stiffness, so that the factors are well conditioned; softened by next to nothing, so
@@ -153,7 +157,7 @@ def _lowest(
         return factors.solve(np.concatenate([right.ravel(), np.zeros(whole.shape[0] - size)]))[:size]
 
     squared, shape = eigsh(
-        stiffness, k=count, M=diags(weights), sigma=SHIFT, tol=1e-4,
+        stiffness, k=count, M=inertia, sigma=SHIFT, tol=1e-4,
         OPinv=LinearOperator((size, size), matvec=solve),
         v0=solve(np.random.default_rng(0).standard_normal(size)),
     )  # fmt: skip

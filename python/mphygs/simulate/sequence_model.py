@@ -34,7 +34,7 @@ from mphygs.simulate.scope import (
     stated_weights,
 )
 from mphygs.simulate.settings import AUTO, IMPLICIT, MLS, TRANSFERS, Settings, check_effects, check_integrator
-from mphygs.simulate.step_choice import steps_a_frame
+from mphygs.simulate.step_choice import steps_to_predict
 from mphygs.simulate.timeline import Timeline, poses_of, timeline_of
 from mphygs.simulate.total_lagrangian import TotalLagrangian
 from mphygs.simulate.transfer import Start, Transfer
@@ -91,8 +91,9 @@ class SequenceModel:
     @cached_property
     def steps_a_frame(self) -> int:
         """Of implicit steps, as the capture's sequence of the name asks for, whatever points are followed."""
-        named = (s for s in self.capture.sequences if s.name == self.recording.name)
-        return steps_a_frame(next(named, self.recording), paired=self.body.curved)
+        every = self.capture.sequences
+        own = next((s for s in every if s.name == self.recording.name), self.recording)
+        return steps_to_predict(own, every, paired=self.body.curved)
 
     # ---- models, substeps ---------------------------------------------------------------------
     def model(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from math import ceil, sqrt
+
 import numpy as np
 
 from mphygs.capture.record import Sequence as Recording
 
-# What implicit steps have at least. A swing of a sixth of the frame rate falls behind by 0.1 % of its period
-# then; Newton's method does not always find a step of half a frame.
+# What implicit steps have at least, by whether they are in pairs, even then. A swing of a sixth of the frame
+# rate falls behind by 0.14 % of its period then; Newton's method does not always find a step of half a frame.
 FEWEST = 8
+FEWEST_PAIRED = 2 * ceil(FEWEST / sqrt(2))
 # Of the noise, that the steps may be off: together they are 3 % more than the noise.
 SHARE = 0.25
 # Of a frequency's power over that of the noise, from which on it is taken as motion.
@@ -16,7 +20,7 @@ SEEN = 9.0
 
 
 def steps_a_frame(recording: Recording, *, paired: bool = False) -> int:
-    """The fewest steps a frame, from FEWEST on, whose error is below SHARE of the markers' noise.
+    """The fewest steps a frame, not below the least, whose error is below SHARE of the markers' noise.
 
     The midpoint rule swings by (w h)^2 / 12 too slowly, in pairs with BDF2 by (w h)^2 / 6: the first terms of
     log A - i w h, A by what a step multiplies e^(i w t). After t a swing of the frequency w is off by w t
@@ -26,17 +30,26 @@ def steps_a_frame(recording: Recording, *, paired: bool = False) -> int:
     """
     first = recording.release or 0
     swings = None if recording.markers is None else _spectrum(recording, max(first, recording.fit[0]))
+    steps = FEWEST_PAIRED if paired else FEWEST
     if swings is None:
-        return FEWEST
+        return steps
     rate, power, noise = swings
     span = (recording.frames - first) / recording.fps
     delay = 1.0 / 6.0 if paired else 1.0 / 12.0
-    steps = FEWEST
     while True:
         late = delay * rate**3 * span / (np.sqrt(3.0) * (steps * recording.fps) ** 2)
         if (np.minimum(late, 1.0) ** 2) @ power <= (SHARE * noise) ** 2:
             return steps
         steps += 1
+
+
+def steps_to_predict(recording: Recording, others: Iterable[Recording], *, paired: bool = False) -> int:
+    """As `steps_a_frame`; where nothing is fitted, steps as short as any of the other sequences takes."""
+    own = steps_a_frame(recording, paired=paired)
+    if recording.fit[1] > recording.fit[0]:
+        return own
+    rates = (steps_a_frame(other, paired=paired) * other.fps for other in others)
+    return max(own, *(ceil(rate / recording.fps - 1e-9) for rate in rates), 0)
 
 
 def _spectrum(recording: Recording, first: int) -> tuple[np.ndarray, np.ndarray, float] | None:

@@ -75,8 +75,11 @@ def _divided(place: np.ndarray, boxes: np.ndarray, spacing: float) -> np.ndarray
         for axis in range(3):
             for edge in (low[axis], high[axis]):
                 away = place[:, axis] - edge
-                for k in np.flatnonzero(away[:-1] * away[1:] < 0.0):
-                    cut = arc[k] + (arc[k + 1] - arc[k]) * away[k] / (away[k] - away[k + 1])
+                away[np.abs(away) < SAME] = 0.0
+                crossed = np.flatnonzero(away[:-1] * away[1:] < 0.0)
+                share = away[crossed] / (away[crossed] - away[crossed + 1])
+                met = arc[crossed] + (arc[crossed + 1] - arc[crossed]) * share
+                for cut in (*met, *arc[away == 0.0]):
                     point = at(np.array([cut]))[0]
                     if np.all((point >= low - SAME) & (point <= high + SAME)):
                         cuts.append(cut)

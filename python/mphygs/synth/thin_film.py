@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Of a frame: a swing of 6 Hz filmed at 100 frames a second falls behind by 1e-4 of its period then.
 STEPS_A_FRAME = 16
+# Where a step is not found all are halved and the film begins anew, down to this share of them.
+FINEST = 8
 # Causes that are stresses inside a part, which a thin structure has none of.
 INSIDE = ("actuation",)
 
@@ -40,15 +42,31 @@ def film(
 
     Raises RuntimeError where no step is found.
     """
+    steps = STEPS_A_FRAME
+    while True:
+        try:
+            return _in_steps(steps, body, recording, progress)
+        except RuntimeError:
+            steps *= 2
+            if steps > FINEST * STEPS_A_FRAME:
+                raise
+
+
+def _in_steps(
+    steps: int,
+    body: RodBody | ShellBody,
+    recording: Recording,
+    progress: Callable[[int], bool] | None,
+) -> SimulatedMotion:
+    """steps: of a frame."""
     places = body.places(recording.markers.at)
     first, frames = recording.release or 0, recording.frames
     position = np.repeat(recording.markers.at[None], frames, axis=0)
     velocity = np.zeros_like(position)
-    count = STEPS_A_FRAME * (frames - 1 - first)
-    step = 1.0 / (STEPS_A_FRAME * recording.fps)
+    count, step = steps * (frames - 1 - first), 1.0 / (steps * recording.fps)
     for k, moment in enumerate(march(body, body.at_rest(), first / recording.fps, step, count), start=1):
-        if k % STEPS_A_FRAME == 0:
-            frame = first + k // STEPS_A_FRAME
+        if k % steps == 0:
+            frame = first + k // steps
             position[frame], velocity[frame] = body.carried(
                 places, moment.state, moment.velocity, frame / recording.fps
             )

@@ -69,6 +69,9 @@ inline void TotalLagrangianDirections<T, L>::prepare_mass() {
     if (!any(&Fields<T>::mass) && !at_places) {
         return;
     }
+    for (const Fields<T>* direction : directions_) {
+        shared_mass_.push_back(model_.shared_mass(*direction));
+    }
     inverse_mass_.assign(slabs_ * stride_, W{});
     for (std::size_t s = 0; s < slabs_; ++s) {
         W* m = &inverse_mass_[s * stride_];

@@ -40,6 +40,25 @@ inline void TotalLagrangianDirections<T, L>::still_without_mass() {
     }
 }
 
+template <class T, int L>
+inline void TotalLagrangianDirections<T, L>::share_inertia(double span) {
+    const T share = static_cast<T>(1.0 / span);
+    for (std::size_t s = 0; s < slabs_; ++s) {
+        push_each_other<W>(
+            value_.shared_mass_,
+            [&](std::size_t n, std::size_t c) { return v_[s * slab_ + 3 * n + c] - v0_[s * slab_ + 3 * n + c]; },
+            [&](std::size_t n, std::size_t c, const W& force) { f_[s * slab_ + 3 * n + c] += share * force; });
+    }
+    const MidpointState<T>& m = *value_.midpoint_;
+    for (std::size_t k = 0; k < shared_mass_.size(); ++k) {
+        T* to = reinterpret_cast<T*>(&f_[k / width * slab_]) + k % width;
+        push_each_other<T>(
+            shared_mass_[k],
+            [&](std::size_t n, std::size_t c) { return m.middle[value_.at(0, c, n)] - m.v0[value_.at(0, c, n)]; },
+            [&](std::size_t n, std::size_t c, T force) { to[(3 * n + c) * width] += share * force; });
+    }
+}
+
 /// The derivative of the midpoint's map along changes x of its velocity and along the directions, left in the velocity.
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd& x, int n, int frame, double middle, double dt, bool last) {
@@ -60,6 +79,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd&
     hook_forces(middle, dt);
     known_forces(frame);
     actuate(n, frame, dt);
+    share_inertia(span);
     if (pulls) {
         ask(n, frame, dt);
         spread_pulls(span);
@@ -178,7 +198,9 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     }
     still_without_mass();
     value_.finish_midpoint(n, frame, dt);
-    hold(n, frame, dt, false, false);
+    if (!schedule_.paired) {
+        hold(n, frame, dt, false, false);
+    }
     for (std::size_t k = 0; k < v_.size(); ++k) {
         u_[k] = u0_[k] + h * mean[k];
     }

@@ -222,6 +222,9 @@ class TotalLagrangianDirections {
 
     void known_forces(int frame);
 
+    /// As in the values' run, and what the directions' masses do there.
+    void share_inertia(double span);
+
     /// dv* = dv + dt (df / m + d(gravity + body effects)); the change of 1 / m follows in `lighten`.
     void accelerate(double time, double dt);
 
@@ -272,6 +275,7 @@ class TotalLagrangianDirections {
     std::vector<W> history_;           // slab, point, number
     std::vector<W> spring_stiffness_;  // slab, spring [N/m]
     std::vector<W> inverse_mass_;      // slab, node; empty where no direction has a mass
+    std::vector<SharedMass<T>> shared_mass_;  // of each direction; empty where none has a mass
     std::vector<Direction> added_, added0_;  // and as they are at the start of an implicit step
     std::vector<std::vector<W>> chunk_force_;
     std::vector<std::vector<T>> chunk_added_;  // of each chunk: direction with added effects, component, node

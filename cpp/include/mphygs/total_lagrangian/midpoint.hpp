@@ -4,7 +4,8 @@
 //   v_m = Phi(v_m) = hold(v_n + h/2 a(u_m, v_m, t_m)),   u_n+1 = u_n + h v_m,   v_n+1 = 2 v_m - v_n,
 // where a are the accelerations of an explicit substep, effects, loads and observer among them, and hold is what the holds
 // leave of a velocity: C (u_n + h v_m) = hold at n+1. Of v_n+1 the part that the holds prescribe is the hold's mean velocity
-// in the step: reflected at the middle it would change its sign from step to step. Nothing that follows depends on it.
+// in the step: reflected at the middle it would change its sign from step to step. Nothing that follows depends on it. The
+// second step of a pair does not reflect, and what nodes share of their mass asks for it: the first leaves it as it is.
 // Newton's method with old factors, made faster by Anderson's, and with new ones where the iterations that are left would
 // cost more than these. Where its corrections do not get smaller it goes on with factors of its own at every velocity, and
 // with as much of a correction as forces still drive along it: with a definite matrix that is downhill in the step's
@@ -24,7 +25,7 @@ inline void TotalLagrangianRun<T, K>::prepare_midpoint() {
     }
     std::vector<double> mass(mass_.begin(), mass_.begin() + static_cast<std::ptrdiff_t>(model_.node_count()));
     midpoint_ = std::make_unique<MidpointState<T>>(
-        MidpointMatrix(model_.geometry_, model_.constraint_node_, model_.coupled_nodes(), std::move(mass)), model_.rows_.size());
+        MidpointMatrix(model_.geometry_, model_.constraint_node_, model_.coupled_nodes(), std::move(mass), shared_mass_.template cast<double>()), model_.rows_.size());
     midpoint_->length = prestressed_ ? model_.extent() : model_.geometry_.spacing[0];
     midpoint_->assembly = model_.midpoint_assembly(*inputs_.primal, schedule_, *team_);
 }
@@ -65,6 +66,7 @@ inline void TotalLagrangianRun<T, K>::midpoint_map(const Eigen::VectorXd& x, int
     hook_forces(middle, dt);
     known_forces(frame);
     actuate(index(frame), target_basis(n, frame, dt).value, n);
+    share_inertia(span);
     if (ask(n, frame, dt)) {
         spread_pulls(span);
     }
@@ -275,7 +277,9 @@ inline void TotalLagrangianRun<T, K>::finish_midpoint(int n, int frame, double d
         u_[i] = -h * m.middle[i];
     }
     if (constraint_[0].row_count() > 0) {
-        hold_lanes<0, 1>(n, dt, false);
+        if (!schedule_.paired) {
+            hold_lanes<0, 1>(n, dt, false);
+        }
         if (sums_.wanted()) {
             tell();
         }

@@ -3,7 +3,8 @@
 // The map v -> Phi(v) of which the midpoint's velocity is the fixed point (see `midpoint.hpp`) has the derivative P B, with
 // P what the holds leave of a velocity. (I - P B) d = b is the saddle
 //   [ A  C^T ] [   d    ]   [ M b ]
-//   [ C   0  ] [ lambda ] = [ C b ],   A = M (I - B) = M + h/2 D + h^2/4 K.
+//   [ C   0  ] [ lambda ] = [ C b ],   A = M (I - B) = M - S + h/2 D + h^2/4 K
+// with M the lumped mass and S what nodes share of it (`consistent_mass.hpp`).
 // A couples nodes that share a cell only: it is summed from what the points of every cell make of its nodes' motion. Without
 // the holds it has an inverse, for nodes have mass: the rows of a hold or joint are eliminated after all of their nodes.
 #pragma once
@@ -26,8 +27,10 @@ using CellMatrix = Eigen::Matrix<T, 27, 243>;
 
 class MidpointMatrix {
   public:
-    /// node: of every weight of the geometry's rows; cells: the nodes of every cell in use; mass: (N,) [kg].
-    MidpointMatrix(const Geometry& geometry, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass);
+    /// node: of every weight of the geometry's rows; cells: the nodes of every cell in use; mass: (N,) [kg], lumped; shared:
+    /// (N, N) what nodes of a cell share of it.
+    MidpointMatrix(const Geometry& geometry, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass,
+                   const Eigen::SparseMatrix<double>& shared);
 
     /// A as it is without forces.
     void clear();
@@ -55,6 +58,7 @@ class MidpointMatrix {
     Eigen::Index entry(int row_node, Eigen::Index column) const;
 
     Eigen::VectorXd mass_, weight_;  // (3 N,)
+    std::vector<double> inertia_;    // of every entry of the saddle in a node's column: what A has without forces
     Eigen::SparseMatrix<double> rows_;    // C, (3 R, 3 N)
     Eigen::SparseMatrix<double> matrix_;  // the saddle
     SparseFactors solver_;

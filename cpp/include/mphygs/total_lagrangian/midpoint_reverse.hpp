@@ -7,6 +7,31 @@
 
 namespace mphygs {
 
+/// What the pushes of nodes that share mass say of the masses.
+template <class T>
+inline void TotalLagrangianReverse<T>::reverse_shared_mass(const std::vector<T>& start, const std::vector<T>& middle, double rate) {
+    const auto add = [&](const std::vector<SharedPoints<T>>& all, std::vector<double>& to) {
+        for (const SharedPoints<T>& points : all) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                std::array<T, 27> bar, change;
+                for (std::size_t a = 0; a < 27; ++a) {
+                    const std::size_t i = run_.at(0, c, static_cast<std::size_t>(points.node[a]));
+                    bar[a] = fbar_[i];
+                    change[a] = middle[i] - start[i];
+                }
+                for (std::size_t q = 0; q < static_cast<std::size_t>(points.count); ++q) {
+                    to[points.first + q] += rate * points.product(q, bar, change);
+                }
+            }
+        }
+    };
+    add(model_.shared_points_, mass_bar_);
+    if (model_.sites_.mass) {
+        place_mass_bar_.resize(model_.places_.size());
+        add(model_.shared_places_, place_mass_bar_);
+    }
+}
+
 template <class T>
 inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) {
     using Tolerance = MidpointTolerance<T>;
@@ -32,8 +57,10 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         for (std::size_t i = 0; i < run_.size_; ++i) {
             wanted[i] = span * end[i] + vbar_[i];
         }
-    } else {  // u_n+1 = u_n + h v_m, v_n+1 = 2 v_m - v_n but where the holds prescribe it
-        reverse_hold(n, r, r.prescribed, dt, false);
+    } else {  // u_n+1 = u_n + h v_m, v_n+1 = 2 v_m - v_n but, of single steps, where the holds prescribe it
+        if (!schedule_.paired) {
+            reverse_hold(n, r, r.prescribed, dt, false);
+        }
         reflected = vbar_;
         for (std::size_t i = 0; i < run_.size_; ++i) {
             wanted[i] = h * (end[i] - ubar_[i]) + T(2) * reflected[i];
@@ -59,6 +86,12 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         for (std::size_t i = 0; i < run_.size_; ++i) {
             sum[i] = wanted[i] + span * (ubar_[i] - kept[i]) + (vbar_[i] - start[i]);
         }
+        push_each_other<T>(
+            run_.shared_mass_, [&](std::size_t n, std::size_t c) { return fbar_[run_.at(0, c, n)] / span; },
+            [&](std::size_t n, std::size_t c, T bar) {
+                sum[run_.at(0, c, n)] += bar;
+                start[run_.at(0, c, n)] -= bar;
+            });
         return run_.by_node(sum);
     };
     if (!m.begin_step(dt)) {
@@ -106,6 +139,7 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
     }
     this->swap_sums(trial_);
     reversed(x);
+    reverse_shared_mass(rule.second ? r.begin_v : r.v, r.middle, 1.0 / (rule.span * dt));
     for (std::size_t k = 0; k < run_.size_; ++k) {
         ubar_[k] += end[k];
         vbar_[k] = start[k] - reflected[k];

@@ -18,6 +18,7 @@
 #include "mphygs/physics/observer.hpp"
 #include "mphygs/physics/point_hook.hpp"
 #include "mphygs/total_lagrangian/cell_springs.hpp"
+#include "mphygs/total_lagrangian/consistent_mass.hpp"
 #include "mphygs/total_lagrangian/curved_grid.hpp"
 #include "mphygs/total_lagrangian/spline_tables.hpp"
 
@@ -63,6 +64,8 @@ class TotalLagrangian {
     void set_threads(int threads) { settings_.threads = threads; }
     /// Lumped node mass of given inputs, (N,) [kg].
     std::vector<T> node_mass(const Fields<T>& fields) const;
+    /// What is lumped too much in it: the nodes' mass less this is what implicit steps have. See `consistent_mass.hpp`.
+    SharedMass<T> shared_mass(const Fields<T>& fields) const;
     /// cell: (M, 3) knot span of each point; it must be one of the object's.
     PointWeights weights(const std::vector<double>& points, const std::vector<std::int32_t>& cell) const;
 
@@ -156,6 +159,7 @@ class TotalLagrangian {
     std::vector<std::int32_t> spring_;  // of each sorted block: its springs, -1 where it has none
     std::vector<CellSprings<T>> springs_;
     std::vector<PlaceRows> places_;
+    std::vector<SharedPoints<T>> shared_points_, shared_places_;  // of curved grids
     std::vector<Chunk> chunks_;
     std::vector<std::int32_t> constraint_node_;
     std::size_t stride_ = 0;  // nodes, padded
@@ -169,6 +173,9 @@ class TotalLagrangian {
     /// N_a and dN_a/dX there.
     void weights_at(const double (&s)[3], const std::int32_t* cell, double (&n)[27], double (&dn)[27][3]) const;
     void set_points(const double (&s)[8][3], const std::int32_t* cell, GradientTable<T>& gradient, ValueTable<T>& value) const;
+    void share_mass();
+    /// share[c][q][k] of point q's mass is the k-th node's along axis c.
+    void mass_shares(const double (&s)[8][3], const std::int32_t* cell, double (&share)[3][8][3]) const;
     MassTable<T> mass_table(const double (&s)[8][3], const std::int32_t* cell, const ValueTable<T>& value) const;
     CellSprings<T> curved_springs(std::size_t block) const;
     int find_node(int i, int j, int k) const;

@@ -127,6 +127,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     }
 
     void reverse_midpoint(int n, const Record& r);  // see `midpoint_reverse.hpp`
+    void reverse_shared_mass(const std::vector<T>& start, const std::vector<T>& middle, double rate);
 
     void reverse_step(int n, const Record& r) {
         if (schedule_.implicit) {
@@ -204,8 +205,9 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         });
         out.effect = narrow(parameter_bar_);
         if (model_.sites_.mass) {
-            for (const auto& place : model_.places_) {
-                double sum = 0;
+            for (std::size_t p = 0; p < model_.places_.size(); ++p) {
+                const auto& place = model_.places_[p];
+                double sum = place_mass_bar_.empty() ? 0.0 : place_mass_bar_[p];
                 for (std::size_t a = 0; a < 27; ++a) {
                     sum += static_cast<double>(place.value[a]) * node_mass_bar[static_cast<std::size_t>(place.node[a])];
                 }
@@ -235,6 +237,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     using Forces::pose_bar_, Forces::reverse_body, Forces::reverse_chunk, Forces::reverse_hook, Forces::reverse_places;
     using Forces::history_bar_, Forces::hook_answer_, Forces::hook_told_, Forces::reverse_uniforms, Forces::run_, Forces::target_bar_, Forces::ubar_, Forces::vbar_, Forces::volume_bar_;
 
+    std::vector<double> place_mass_bar_;      // of what nodes share of places' masses
     std::vector<T> past_u_bar_, past_v_bar_;  // of the state at the start of the pair that is being reversed
     const Schedule& schedule_;
     const Trajectory<T>& bar_;

@@ -220,6 +220,9 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
 
     void known_forces(int frame);
 
+    /// Adds what nodes that share mass push each other with in an implicit step: D (v_m - v_0) / span.
+    void share_inertia(double span);
+
     /// v* = v + dt (f / m + gravity + body effects), eight nodes at a time.
     void update_nodes(double time, double dt);
 
@@ -284,6 +287,7 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     std::vector<T> aims_[lanes], asked_[lanes], pulled_[lanes], blend_;  // see ObserverRows
     std::optional<ActuationStep> actuation_;                            // where there are loads, and they act
     std::vector<T> f_, mass_, inverse_mass_;  // lane, component, node
+    SharedMass<T> shared_mass_;               // of the values
     Vec3<U> gravity_;
     U compliance_{};
     std::vector<double> lambda_rows_;  // lane, component, row: the impulse of each hold row [N s]

@@ -41,6 +41,7 @@ inline void TotalLagrangianRun<T, K>::prepare_mass() {
             }
         }
     }
+    shared_mass_ = model_.shared_mass(*inputs_.primal);
     constraint_.emplace_back(model_.geometry_, model_.constraint_node_, inverse);
 }
 
@@ -59,6 +60,15 @@ inline void TotalLagrangianRun<T, K>::reduce_forces() {
             }
         }
     }
+}
+
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::share_inertia(double span) {
+    const MidpointState<T>& m = *midpoint_;
+    push_each_other<T>(
+        shared_mass_,
+        [&](std::size_t n, std::size_t c) { return m.middle[at(0, c, n)] - m.v0[at(0, c, n)]; },
+        [&](std::size_t n, std::size_t c, T force) { f_[at(0, c, n)] += static_cast<T>(1.0 / span) * force; });
 }
 
 template <class T, int K>
