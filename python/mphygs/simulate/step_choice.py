@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import ceil, sqrt
+from math import ceil
 
 import numpy as np
 
 from mphygs.capture.record import Sequence as Recording
 
-# What implicit steps have at least, by whether they are in pairs, even then. A swing of a sixth of the frame
-# rate falls behind by 0.14 % of its period then; Newton's method does not always find a step of half a frame.
+# What implicit steps have at least. A swing of a sixth of the frame rate falls behind by 0.14 % of its period
+# then, or half of it in pairs, each of which is one step of its rule (Bathe and Baig 2005). Newton's method
+# does not always find a step of half a frame. Thin things in large swings, undamped, make four times of an
+# error what it is counted as below; to find shorter steps takes them hardly longer.
 FEWEST = 8
-FEWEST_PAIRED = 2 * ceil(FEWEST / sqrt(2))
+FEWEST_PAIRED = 2 * FEWEST
 # Of the noise, that the steps may be off: together they are 3 % more than the noise.
 SHARE = 0.25
 # Of a frequency's power over that of the noise, from which on it is taken as motion.
