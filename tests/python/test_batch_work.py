@@ -58,6 +58,16 @@ def test_a_run_has_the_threads_of_its_worker(scripted: Path) -> None:
     assert heard(scripted)[1] == "segment --json"
 
 
+def test_a_script_is_run_in_the_place_of_the_package(scripted: Path) -> None:
+    beside = "import json, sys, beside\nprint(json.dumps({'given': sys.argv[1:], 'by': beside.WHO}))\n"
+    (scripted / "scripts").mkdir()
+    (scripted / "scripts" / "one.py").write_text(beside)
+    (scripted / "scripts" / "beside.py").write_text("WHO = 'it'\n")
+    asked = task("a", scripted, words=("b", "c"), limited=False, script=scripted / "scripts" / "one.py")
+    assert work.work(asked, 1).answer == {"given": ["b", "c", "--json"], "by": "it"}
+    assert not (scripted / "heard").exists()
+
+
 def test_what_a_run_took_is_told(scripted: Path) -> None:
     held = "x = b'1' * 200_000_000"
     busy = f"import time\n{held}\nwhile time.process_time() < 0.7: pass\ntime.sleep(0.5)\nprint('{{}}')"

@@ -41,7 +41,7 @@ class Task:
     those that a worker adds; run: its own run folder, None where the command writes where it always does;
     logs: folder of what it says and of what came of it; place: folder that relative paths are meant from;
     limited, resumable: whether the command takes --workers and --resume; seed, effects: told apart by, where
-    they are.
+    they are; script: that `words` are for, in the place of mphygs.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Task:
     resumable: bool
     seed: int | None = None
     effects: str | None = None
+    script: Path | None = None
 
     @property
     def log(self) -> Path:
@@ -121,7 +122,7 @@ def _run(
     environment = dict(os.environ) | {name: str(threads) for name in THREADS}
     with tempfile.TemporaryFile() as said, task.log.open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "mphygs.batch.child_process", *words],
+            [sys.executable, "-m", "mphygs.batch.child_process", str(task.script or ""), *words],
             stdin=subprocess.PIPE,
             stdout=said,
             stderr=log,
