@@ -77,6 +77,20 @@ def test_what_a_run_took_is_told(scripted: Path) -> None:
     assert 2e8 < found.memory < 1e9
 
 
+def test_the_end_of_a_run_is_not_waited_for(scripted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "TICK", 600.0)
+    assert work.work(task("a", scripted), 1).seconds < 300.0
+    ends = []
+    client = SimpleNamespace(submit=lambda *_, **__: SimpleNamespace(add_done_callback=ends.append))
+    workers = cluster.Workers(client)
+    workers.submit("here", task("a"), 1)
+    ends[0](None)
+    begin = time.monotonic()
+    workers.wait(600.0)
+    assert time.monotonic() < begin + 300.0
+    workers.wait(0.0)
+
+
 def test_a_run_that_was_begun_goes_on_or_begins_anew(scripted: Path) -> None:
     for _ in range(2):
         assert work.work(task("a", scripted), 1).done

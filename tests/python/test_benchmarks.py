@@ -82,6 +82,9 @@ class OneByOne:
     def threads(self) -> dict[str, int]:
         return {"here": 1}
 
+    def wait(self, _seconds: float) -> None:
+        pass
+
     def submit(self, _address: str, task: Task, _threads: int) -> SimpleNamespace:
         self.asked.append(task)
         outcome = self.of(task)
