@@ -146,6 +146,48 @@ def test_springs_are_stable_to_the_step_that_they_say() -> None:
         SpringRun.of(system, stiffness, 0.1, coarse, start, np.zeros_like(rest))
 
 
+@pytest.mark.parametrize(("whole", "kept"), [((9.0, 7.0, 3.0, np.inf), 2), ((2.0, 7.0, 3.0, 5.0), 0)])
+def test_where_iterations_see_samples_the_whole_says_which_stage_is_kept(
+    whole: tuple[float, ...], kept: int, sprung: Mapping, tmp_path: Path
+) -> None:
+    run, seen = replace(load_run(sprung["run"]), folder=tmp_path), []
+
+    def cost_of(values: Mapping[str, np.ndarray]) -> float:
+        seen.append(float(values["a"][0]))
+        if whole[len(seen) - 1] == np.inf:
+            raise SimulationError("the motion is not finite")
+        return whole[len(seen) - 1]
+
+    def measure(values: Mapping[str, np.ndarray], number: int) -> tuple[float, dict[str, np.ndarray]]:
+        return 1.0 / (1 + number), {"a": np.ones(1)}  # the last sample's is the least
+
+    plan = training.TrainingPlan({"a": 0.1}, 3, 4, cost_of)
+    run = training.train(run, lambda: {"a": np.ones(1)}, measure, plan, {}, lambda *_: None, name="it")
+    run.save()
+    assert len(seen) == 4 and seen == sorted(seen, reverse=True) and seen[0] == 1.0
+    assert training.trained_values(load_run(tmp_path))["a"] == [seen[kept]]
+
+
+def test_a_graph_whose_training_runs_away_is_left_as_it_predicts_best(
+    capture: Path, tmp_path: Path, quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    costs, train = [], training.train
+
+    def watched(run: object, start: object, measure: object, plan: training.TrainingPlan, *more, **named):
+        def whole(values: Mapping[str, np.ndarray]) -> float:
+            costs.append(plan.whole(values))
+            return costs[-1]
+
+        return train(run, start, measure, replace(plan, whole=whole), *more, **named)
+
+    monkeypatch.setattr(graph, "train", watched)
+    monkeypatch.setattr(graph, "RATE", 0.3)
+    found = answer(fit.main, capture, "--baseline", "graph", "--out", tmp_path / "run", *OPTIONS)
+    assert costs[-1] > 5.0 * min(costs)  # a stage that led to no motion is not among them
+    left = found["sequences"]["swing"]["fit"]["rms_over_sigma"]
+    assert left == pytest.approx(np.sqrt(2.0 * min(costs)), rel=0.02)
+
+
 def test_what_begins_is_the_best_of_a_few_stiffnesses() -> None:
     def begun(softest: float) -> float:
         def cost(values: Mapping[str, np.ndarray]) -> float:

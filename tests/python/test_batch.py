@@ -114,6 +114,9 @@ class Here:
     def threads(self) -> dict[str, int]:
         return {"here": 1}
 
+    def wait(self, _seconds: float) -> None:
+        pass
+
     def submit(self, _address: str, one: Task, threads: int) -> "Ended":
         if self.stops == len(self.ran):
             raise KeyboardInterrupt

@@ -63,6 +63,9 @@ class Steady:
         self.workers.pop(self.lost.get(self.looks, ""), None)
         return dict(self.workers)
 
+    def wait(self, _seconds: float) -> None:
+        pass
+
     def submit(self, address: str, one: Task, threads: int) -> "Run":
         run = Run(self, address, one, threads, self.looks + 2)
         self.begun.append(one.name)
@@ -103,7 +106,7 @@ def keeping(found: dict[str, Outcome]) -> Callable[[Task, Outcome], None]:
 def shared(pool: Steady, count: int, threads: int | None = None) -> dict[str, Outcome]:
     found: dict[str, Outcome] = {}
     tasks = [task(f"t{k}") for k in range(count)]
-    dispatch(tasks, pool, ended=keeping(found), look=lambda *_: None, threads=threads, tick=0)
+    dispatch(tasks, pool, ended=keeping(found), look=lambda *_: None, threads=threads)
     assert sorted(found) == sorted(t.name for t in tasks)
     return found
 
@@ -125,7 +128,7 @@ def test_what_can_be_run_after_a_run_is_run() -> None:
         ended.append(one.name)
         return [task("t1"), task("t2")] if one.name == "t0" else []
 
-    dispatch([task("t0"), task("u")], pool, ended=end, look=lambda *_: None, tick=0)
+    dispatch([task("t0"), task("u")], pool, ended=end, look=lambda *_: None)
     assert pool.begun == ended == ["t0", "u", "t1", "t2"]
 
 
@@ -148,7 +151,7 @@ def test_a_run_that_ends_its_workers_fails_alone() -> None:
 
     pool.threads = threads  # type: ignore[method-assign]
     found: dict[str, Outcome] = {}
-    dispatch([task("t0")], pool, ended=keeping(found), look=lambda *_: None, tick=0)
+    dispatch([task("t0")], pool, ended=keeping(found), look=lambda *_: None)
     assert pool.begun == ["t0"] * MOST_LOST
     assert not found["t0"].done and f"{MOST_LOST} workers were lost with it" in found["t0"].line
 
@@ -161,5 +164,5 @@ def test_an_interruption_stops_what_is_under_way() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        dispatch([task("t0"), task("t1")], pool, ended=lambda *_: None, look=look, tick=0)
+        dispatch([task("t0"), task("t1")], pool, ended=lambda *_: None, look=look)
     assert len(seen) == 2 and all(one.handle.cancelled for one in seen)

@@ -58,6 +58,16 @@ def test_a_run_has_the_threads_of_its_worker(scripted: Path) -> None:
     assert heard(scripted)[1] == "segment --json"
 
 
+def test_a_script_is_run_in_the_place_of_the_package(scripted: Path) -> None:
+    beside = "import json, sys, beside\nprint(json.dumps({'given': sys.argv[1:], 'by': beside.WHO}))\n"
+    (scripted / "scripts").mkdir()
+    (scripted / "scripts" / "one.py").write_text(beside)
+    (scripted / "scripts" / "beside.py").write_text("WHO = 'it'\n")
+    asked = task("a", scripted, words=("b", "c"), limited=False, script=scripted / "scripts" / "one.py")
+    assert work.work(asked, 1).answer == {"given": ["b", "c", "--json"], "by": "it"}
+    assert not (scripted / "heard").exists()
+
+
 def test_what_a_run_took_is_told(scripted: Path) -> None:
     held = "x = b'1' * 200_000_000"
     busy = f"import time\n{held}\nwhile time.process_time() < 0.7: pass\ntime.sleep(0.5)\nprint('{{}}')"
@@ -65,6 +75,20 @@ def test_what_a_run_took_is_told(scripted: Path) -> None:
     found = work.work(task("a", scripted), 1)
     assert 0.6 < found.processor < found.seconds and found.seconds > 1.1
     assert 2e8 < found.memory < 1e9
+
+
+def test_the_end_of_a_run_is_not_waited_for(scripted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "TICK", 600.0)
+    assert work.work(task("a", scripted), 1).seconds < 300.0
+    ends = []
+    client = SimpleNamespace(submit=lambda *_, **__: SimpleNamespace(add_done_callback=ends.append))
+    workers = cluster.Workers(client)
+    workers.submit("here", task("a"), 1)
+    ends[0](None)
+    begin = time.monotonic()
+    workers.wait(600.0)
+    assert time.monotonic() < begin + 300.0
+    workers.wait(0.0)
 
 
 def test_a_run_that_was_begun_goes_on_or_begins_anew(scripted: Path) -> None:

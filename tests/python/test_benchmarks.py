@@ -37,7 +37,7 @@ def loaded(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f"{name}_run", SCRIPTS / name / "run.py")
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, f"{name}_run", module)
-    beside = ("flower", "judge", "table", "cases")  # other benchmarks have files of these names
+    beside = ("flower", "judge", "table", "cases", "make")  # other benchmarks have files of these names
     for other in beside:
         sys.modules.pop(other, None)
     spec.loader.exec_module(module)
@@ -81,6 +81,9 @@ class OneByOne:
 
     def threads(self) -> dict[str, int]:
         return {"here": 1}
+
+    def wait(self, _seconds: float) -> None:
+        pass
 
     def submit(self, _address: str, task: Task, _threads: int) -> SimpleNamespace:
         self.asked.append(task)
@@ -128,6 +131,57 @@ def test_rows_of_baselines_are_runs_of_a_batch(
     done["elastic"] = done["springs"]
     assert module.main() == 0 and len(made) == 1
     assert [task.name for task in workers.asked[3:]] == ["tilt-7-elastic"]
+
+
+def test_a_hidden_effect_is_made_found_and_judged_by_runs_of_a_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = loaded("hidden_effects", monkeypatch)
+    made_of, cases = module.is_made.__globals__["made_of"], {c.name: c for c in module.chosen(())}
+    error = {"rms": 4e-4, "max": 1e-3, "rms_over_sigma": 1.2, "count": 9}
+    row = {"effect": "viscosity", "predicted_drop": 70.0, "drop": 100.0}
+    eta = {"value": 56.0, "std": 4.0, "unit": "Pa s", "determined": True}
+    first = {"added": [], "ties": [], "table": [], "parameters": {}, "sequences": {"a": {"fit": error}}}
+    last = first | {"added": ["viscosity"], "ties": ["relaxation"], "table": [row, row | {"effect": "wind"}]}
+    last |= {"parameters": {"viscosity.eta": eta}, "sequences": {"a": {"fit": error, "predict": error}}}
+    told = {"verdict": "missing", "effects": ["viscosity"], "steps": [first, last], "warnings": []}
+
+    def outcome(task: Task) -> Outcome:
+        capture = tmp_path / "captures" / task.name.removesuffix("-capture")
+        if task.script is not None:
+            assert task.script.name == "make.py" and not task.limited and task.words[2] == str(capture)
+            capture.mkdir(parents=True)
+            answer = {"signal_over_noise": 3.0, "effects": {"viscosity": {"eta": 50.0}}, "faults": {}}
+            (capture / "answer.json").write_text(json.dumps(answer))
+            (capture / "case.json").write_text(json.dumps(made_of(cases[task.words[0]], int(task.words[1]))))
+            return Outcome(0, "", {}, 1.0)
+        assert task.words[:4] == ("discover", str(capture), "--out", str(task.run)) and task.resumable
+        task.log.parent.mkdir(exist_ok=True)
+        task.log.touch()
+        if task.name.startswith("null"):
+            return Outcome(1, "fell over", None, 1.0)
+        task.run.mkdir(parents=True)
+        known = {"p_value": 0.0, "confounded_with": []}
+        ranking = [known | {"effect": e, "statistic": x} for e, x in (("wind", 80.0), ("viscosity", 70.0))]
+        (task.run / "diagnosis.json").write_text(json.dumps({"ranking": ranking}))
+        return Outcome(0, "", told, 3.0)
+
+    workers = OneByOne(outcome)
+    monkeypatch.setattr(run_on_workers, "workers_for", workers.workers_for)
+    line = ["run.py", "--cases", "null-white,viscosity-usual", "--seeds", "7", "--json"]
+    line += ["--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", line)
+    assert module.main() == 1
+    null, found = json.loads(capsys.readouterr().out)["cases"]
+    assert null["error"] == "fell over" and found["statistic"] == 70.0 and found["held_out"] == [1.2]
+    assert found["errors_in_std"] == {"viscosity.eta": 1.5} and found["predicted_over_actual"] == [0.7]
+    assert (found["effects"], found["ties"], found["seconds"]) == (["viscosity"], ["relaxation"], 3.0)
+    # what failed goes on, its capture is kept; what is done is not done again unless that is asked for
+    assert module.main() == 1 and [task.name for task in workers.asked[4:]] == ["null-white-7"]
+    assert workers.asked[-1].log.exists()
+    monkeypatch.setattr(sys, "argv", [*line, "--again"])
+    assert module.main() == 1
+    assert [task.name for task in workers.asked[5:]] == ["null-white-7", "viscosity-usual-7"]
 
 
 @pytest.mark.parametrize(("name", "command"), [("nulls", "discover"), ("standard_errors", "fit")])

@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -187,3 +189,11 @@ def test_what_python_runs_calls_a_command_and_nothing_else() -> None:
             called[name] = found[1]
     expected = {name: name for name in COMMANDS} | {"": "command_table", "synth.flower": "synth_flower"}
     assert called == expected
+
+
+def test_what_works_on_markers_loads_no_torch() -> None:
+    """It takes nearly as long to load as all else, and every run of a batch is a process of its own."""
+    names = ("batch", "compare", "diagnose", "discover", "doctor", "extend", "fit", "predict", "report")
+    lines = [f"import mphygs.commands.{name}" for name in names]
+    lines += ["import sys", "sys.exit('torch' in sys.modules)"]
+    assert subprocess.run([sys.executable, "-c", "\n".join(lines)], check=False).returncode == 0

@@ -18,6 +18,7 @@ from torch import Tensor
 from mphygs.baselines.anchors import Anchors, holds_of
 from mphygs.baselines.graph_network import HISTORY, SHAPES, Graph, starting_weights
 from mphygs.baselines.mover import Mover, start_of
+from mphygs.baselines.targets import TrackTarget
 from mphygs.baselines.training import Progress, TrainingPlan, Values, taken, train, trained_values
 from mphygs.baselines.weights import as_tensors
 from mphygs.fit.experiment import Experiment
@@ -137,11 +138,22 @@ def fit(run: Run, experiment: Experiment, progress: Progress) -> Run:
         size = np.sqrt(sum(float((s**2).sum()) for s in slopes.values()))
         return float(cost.detach()), {n: s / max(size, 1e-12) for n, s in slopes.items()}
 
+    def whole(values: Values) -> float:
+        """Of rollouts of all fitted frames from where the motions begin, as they are predicted."""
+        cost, rows = 0.0, 0
+        for name in names:
+            p, observation, span = problem.predictors[name], problem.observations[name], problem.ranges[name]
+            mover = GraphPredictor(constants | values, p.capture, p.recording, p.settings, body=p.body)
+            target = TrackTarget(observation)
+            cost += target.cost(mover.predict(belief, last=span[1]).position, span)[0]
+            rows += target.weight(span)
+        return cost / rows
+
     constants = {
         "nodes": anchors.rest, "held": (~anchors.free).astype(float), "move": np.array([move]),
         "fps": np.array([first.recording.fps]),
     }  # fmt: skip
-    plan = TrainingPlan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, best=False)
+    plan = TrainingPlan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, whole)
     begun = starting_weights(np.random.default_rng([run.seed, 0]))
     run = train(run, lambda: begun, measure, plan, constants, progress, name="graph")
     return replace(run, covariance=np.zeros((0, 0)), information=np.zeros((0, 0)))

@@ -86,7 +86,13 @@ def fit(run: Run, experiment: Experiment, progress: Progress, examples: Callable
         cost.backward()
         return float(cost.detach()), {n: w.grad.numpy().astype(float) for n, w in weights.items()}
 
-    plan = TrainingPlan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, best=False)
+    def whole(values: Values) -> float:
+        """Of all examples."""
+        with torch.no_grad():
+            weights = {n: torch.as_tensor(v, dtype=torch.float32) for n, v in values.items()}
+            return float(0.5 * ((network(weights, shown) - wanted) ** 2).mean())
+
+    plan = TrainingPlan(dict.fromkeys(SHAPES, RATE), STAGES, ITERATIONS, whole)
     run = train(run, lambda: start, measure, plan, {"low": low, "high": high}, progress, name="prior")
     gaussians = pictured.drawn.gaussians
     up = -np.asarray(experiment.capture.gravity, float)

@@ -34,15 +34,16 @@ Measure = Callable[[Mapping[str, np.ndarray], int], tuple[float, Values]]
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """rates: longest step of each of the numbers by name; stages of so many iterations each; best: the values
-    of least cost are kept, else the last (where every cost is of another sample); begins: iterations from
-    which costs are of more frames than before, so that older ones say nothing; pictures: whether costs are
-    losses of pictures, else half a mean square over the noise."""
+    """rates: longest step of each of the numbers by name; stages of so many iterations each; whole: cost by
+    which values are kept, asked at the start and after every stage, where the cost of every iteration is of
+    another sample and says nothing beside another (default: values of the iteration of least cost are kept);
+    begins: iterations from which costs are of more frames than before, so that older ones say nothing;
+    pictures: whether costs are losses of pictures, else half a mean square over the noise."""
 
     rates: Mapping[str, float]
     stages: int
     iterations: int
-    best: bool = True
+    whole: Callable[[Values], float] | None = None
     begins: tuple[int, ...] = ()
     pictures: bool = False
 
@@ -70,8 +71,6 @@ class Trained:
 
     def step(self, cost: float, gradient: Mapping[str, np.ndarray], rates: Mapping[str, float]) -> None:
         """One step of Adam from values of a cost."""
-        if cost < self.lowest:
-            self.lowest, self.best = cost, _copy(self.values)
         self.costs.append(cost)
         count = len(self.costs)
         for name, slope in gradient.items():
@@ -80,6 +79,11 @@ class Trained:
             mean = self.first[name] / (1.0 - BETA1**count)
             size = np.sqrt(self.second[name] / (1.0 - BETA2**count)) + EPSILON
             self.values[name] = self.values[name] - self.shrunk * rates[name] * mean / size
+
+    def keep(self, cost: float) -> None:
+        """These values, where none before had so low a cost."""
+        if cost < self.lowest:
+            self.lowest, self.best = cost, _copy(self.values)
 
     def back(self) -> None:
         """To the best values, with shorter steps."""
@@ -100,7 +104,9 @@ def train(
     """
     path = run.folder / TRAINED
     state = _read(path) if path.is_file() else None
-    state = Trained.at(start()) if state is None else state
+    if state is None:
+        state = Trained.at(start())
+        _keep_by_whole(state, plan)
     total = plan.stages * plan.iterations
     run = _with_history(run, state, plan, name)
     while len(state.costs) < total:
@@ -110,17 +116,31 @@ def train(
             if number in plan.begins:
                 state.lowest = np.inf
             _one(state, start, measure, plan, number, total)
+        whole = _keep_by_whole(state, plan)
         state.seconds.append(time.monotonic() - began)
         done = len(state.costs) == total
         if done:
-            state.values = _copy(state.best) if plan.best else state.values
+            state.values = _copy(state.best)
         _write(path, state, constants, complete=done)
         run = _with_history(run, state, plan, name)
         run.save()
-        said = _said(state.costs[-1], plan.pictures)
+        said = _said(state.costs[-1] if whole is None else whole, plan.pictures)
         line = f"{name}: iteration {len(state.costs)} of {total}, {said}"
         progress(len(state.costs) / total, line)
     return run
+
+
+def _keep_by_whole(state: Trained, plan: TrainingPlan) -> float | None:
+    """The cost of the values that a plan keeps them by, infinite where they lead to no motion; None where the
+    iterations' own costs tell."""
+    if plan.whole is None:
+        return None
+    try:
+        cost = plan.whole(state.values)
+    except SimulationError:
+        cost = np.inf
+    state.keep(cost)
+    return cost
 
 
 def _one(
@@ -142,6 +162,8 @@ def _one(
             state.best = _copy(dict(start()))
         state.back()
         return
+    if plan.whole is None:
+        state.keep(cost)
     fall = 0.5 * (1.0 + np.cos(np.pi * number / total))
     state.step(cost, gradient, {key: max(fall, 0.05) * rate for key, rate in plan.rates.items()})
 

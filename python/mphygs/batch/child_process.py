@@ -1,7 +1,8 @@
-"""`python -m mphygs.batch.child_process COMMAND ...`: a command that ends with the process that began it.
+"""`python -m mphygs.batch.child_process SCRIPT ...`: a script that ends with the process that began it.
 
-Standard input is the other end of a pipe that nothing is written to: once it is closed, by whatever ended the
-worker, the command is interrupted as by Ctrl-C, and killed where it does not heed that.
+SCRIPT: its file, or "" for `mphygs`; what follows are its arguments. Standard input is the other end of a
+pipe that nothing is written to: once it is closed, by whatever ended the worker, the script is interrupted as
+by Ctrl-C, and killed where it does not heed that.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import os
 import runpy
 import signal
+import sys
 import threading
 import time
 
@@ -26,14 +28,19 @@ def interrupt_when_closed(descriptor: int) -> None:
 
 
 def main() -> None:
-    """Run `mphygs` with the arguments of this process."""
+    """Run what the first argument says with the others."""
     # whoever began it may have been deaf to interrupts, as what runs in the background is
     signal.signal(signal.SIGINT, signal.default_int_handler)
     pipe = os.dup(0)
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)
     threading.Thread(target=interrupt_when_closed, args=(pipe,), daemon=True).start()
-    runpy.run_module("mphygs", run_name="__main__", alter_sys=True)
+    script = sys.argv.pop(1)
+    if script:
+        sys.argv[0], sys.path[0] = script, os.path.dirname(script)
+        runpy.run_path(script, run_name="__main__")
+    else:
+        runpy.run_module("mphygs", run_name="__main__", alter_sys=True)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import threading
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mphygs.batch.dispatch import Handle
@@ -61,6 +62,7 @@ class Workers:
     """The workers of a scheduler. client: connected to it."""
 
     client: Client
+    _ended: threading.Event = field(default_factory=threading.Event)
 
     def threads(self) -> Mapping[str, int]:
         """The threads of every worker that is there now, by its address."""
@@ -71,11 +73,16 @@ class Workers:
 
     def submit(self, address: str, task: Task, threads: int) -> Handle:
         """Begin a run on a worker."""
-        return _Future(
-            self.client.submit(
-                on_worker, task, threads, workers=[address], allow_other_workers=False, pure=False, retries=0
-            )
+        future = self.client.submit(
+            on_worker, task, threads, workers=[address], allow_other_workers=False, pure=False, retries=0
         )
+        future.add_done_callback(lambda _: self._ended.set())
+        return _Future(future)
+
+    def wait(self, seconds: float) -> None:
+        """Return once a run has ended, or these are over."""
+        self._ended.wait(seconds)
+        self._ended.clear()
 
 
 def on_worker(task: Task, threads: int) -> Outcome:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,6 +40,10 @@ class Pool(Protocol):
         """Begin a run on a worker."""
         ...
 
+    def wait(self, seconds: float) -> None:
+        """Return once a run has ended, or these are over."""
+        ...
+
 
 @dataclass(frozen=True)
 class Running:
@@ -59,13 +62,13 @@ def dispatch(
     ended: Callable[[Task, Outcome], Sequence[Task] | None],
     look: Callable[[Sequence[Running], int], None],
     threads: int | None = None,
-    tick: float = 0.2,
+    tick: float = 0.5,
 ) -> None:
     """Run all tasks, each once. threads: of every run; default: all those of its worker, one run at a time.
 
     No worker has more runs at a time than it has threads for. ended: told what came of a task, and may say
-    which can be run after it; look: told every `tick` seconds of the runs under way and the number of
-    workers. An interruption stops what is under way.
+    which can be run after it; look: told every `tick` seconds, at least, of the runs under way and the
+    number of workers. An interruption stops what is under way.
     """
     waiting, lost = deque(tasks), Counter()
     running: list[Running] = []
@@ -94,7 +97,7 @@ def dispatch(
                 running.append(Running(task, *free, pool.submit(free[0], task, free[1])))
             look(running, len(there))
             if waiting or running:
-                time.sleep(tick)
+                pool.wait(tick)
     except BaseException:
         for one in running:
             one.handle.cancel()

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ class Task:
     those that a worker adds; run: its own run folder, None where the command writes where it always does;
     logs: folder of what it says and of what came of it; place: folder that relative paths are meant from;
     limited, resumable: whether the command takes --workers and --resume; seed, effects: told apart by, where
-    they are.
+    they are; script: that `words` are for, in the place of mphygs.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Task:
     resumable: bool
     seed: int | None = None
     effects: str | None = None
+    script: Path | None = None
 
     @property
     def log(self) -> Path:
@@ -121,7 +123,7 @@ def _run(
     environment = dict(os.environ) | {name: str(threads) for name in THREADS}
     with tempfile.TemporaryFile() as said, task.log.open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "mphygs.batch.child_process", *words],
+            [sys.executable, "-m", "mphygs.batch.child_process", str(task.script or ""), *words],
             stdin=subprocess.PIPE,
             stdout=said,
             stderr=log,
@@ -129,10 +131,14 @@ def _run(
             env=environment,
             start_new_session=True,
         )
-        while (usage := _usage(process)) is None:
+        usages: list[resource.struct_rusage] = []
+        waiter = threading.Thread(target=lambda: usages.append(_usage(process)), daemon=True)
+        waiter.start()
+        while waiter.is_alive():
             if withdrawn() and not process.stdin.closed:
                 process.stdin.close()
-            time.sleep(TICK)
+            waiter.join(TICK)
+        (usage,) = usages
         process.stdin.close()
         said.seek(0)
         answer = _answer(said.read()) if process.returncode == 0 else None
@@ -141,11 +147,9 @@ def _run(
     return Outcome(process.returncode, line, answer, seconds, processor, _MEMORY * usage.ru_maxrss)
 
 
-def _usage(process: subprocess.Popen) -> resource.struct_rusage | None:
-    """What a process that has ended has used, with all that it began; None while it runs."""
-    ended, status, usage = os.wait4(process.pid, os.WNOHANG)
-    if not ended:
-        return None
+def _usage(process: subprocess.Popen) -> resource.struct_rusage:
+    """What a process has used with all that it began, once it has ended."""
+    _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     return usage
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from mphygs.capture.cameras import Camera
 from mphygs.scene.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 COLOUR_AND_DEPTH = 4  # channels before the features
 
@@ -40,8 +41,8 @@ class Picture:
     def mean_depth(self, least_opacity: float = 1e-3) -> Tensor:
         """Depth (H, W) [m] of what is seen; NaN where the opacity is below least_opacity."""
         seen = self.opacity >= least_opacity
-        mean = self.depth / torch.where(seen, self.opacity, 1.0)
-        return torch.where(seen, mean, torch.nan)
+        mean = self.depth / self.opacity.where(seen, 1.0)
+        return mean.where(seen, float("nan"))
 
 
 def picture_of(image: Tensor, transmittance: Tensor, visible: Tensor, background: Tensor | None) -> Picture:

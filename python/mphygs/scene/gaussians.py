@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+if TYPE_CHECKING:
+    from torch import Tensor
 
 HARMONIC_COUNTS = (1, 4, 9, 16)  # of degree 0 to 3
 CONSTANT_HARMONIC = 0.28209479177387814  # the harmonic of degree 0
@@ -71,6 +72,8 @@ class Gaussians:
 
 def joined_gaussians(first: Gaussians, second: Gaussians) -> Gaussians:
     """The Gaussians of both, of the same degree and number of features."""
+    import torch
+
     return Gaussians(*(torch.cat(pair) for pair in zip(first.tensors(), second.tensors(), strict=True)))
 
 

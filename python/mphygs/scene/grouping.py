@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from scipy import sparse
 from scipy.spatial import cKDTree
-from torch import Tensor
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 NEIGHBOURS = 20
 ALPHA = 20.0
@@ -32,6 +34,8 @@ def likeness(
 
     Raises ValueError where there are not more than `neighbours`.
     """
+    import torch
+
     values = np.ascontiguousarray(appearance, dtype=np.float64)
     count = len(values)
     if not 1 <= neighbours < count:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from mphygs.scene.lattice import Lattice
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 SHARPNESS = 5e3  # beta [1/m]
 LEAST_SHARE = 1e-4  # epsilon [1]
@@ -93,5 +95,5 @@ def soft_volumes(
     signed_distance: (N,) [m], negative inside; label: (N,) int64; offsets: (S,) o_s, one a segment [m]: a
     positive one takes material away; V_g = spacing^3 [m^3]. M-PhyGs (Wada et al.), section 1 of the method.
     """
-    share = torch.sigmoid(-sharpness * (signed_distance + offsets[label])) + least_share
+    share = (-sharpness * (signed_distance + offsets[label])).sigmoid() + least_share
     return spacing**3 * share
