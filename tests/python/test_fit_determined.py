@@ -1,4 +1,4 @@
-"""What is said of parameters that are a direction together."""
+"""What is said of parameters that the grid bends, and of those that are a direction together."""
 
 from __future__ import annotations
 
@@ -54,6 +54,27 @@ def test_a_direction_that_nothing_tells_stays_undetermined() -> None:
     known = determinations(*of_unit_length(free, information, covariance))
     assert not known["contact.n_x"].determined and known["contact.n_x"].std == pytest.approx(0.5)
     assert known["contact.d"].determined
+
+
+def test_what_the_grid_leaves_as_open_as_the_prior_is_not_determined() -> None:
+    softer, stiffer = (
+        Parameter(f"{part}.youngs_modulus", value, "Pa", 1e2, 1e9, log=True, prior_mean=11.5, prior_std=2.5)
+        for part, value in (("lower", 131e3), ("upper", 74e3))
+    )
+    information = np.diag([1.0 / 0.05**2, 1.0 / 0.1**2])  # of the logarithms: 5 and 10 %
+    noise = np.linalg.inv(information + np.eye(2) / 2.5**2)
+    assert all(found.determined for found in determinations([softer, stiffer], information, noise).values())
+    bent = noise + np.diag([0.9**2, 2.2**2])  # half of the prior's is 1.25
+    known = determinations([softer, stiffer], information, bent)
+    assert known[softer.key].determined and known[softer.key].note == ""
+    assert not known[stiffer.key].determined and "grid" in known[stiffer.key].note
+    assert known[stiffer.key].std == pytest.approx(74e3 * 2.2, rel=2e-3)
+
+
+def test_a_narrow_prior_that_hardly_shows_is_no_matter_of_the_grid() -> None:
+    length = Parameter("hold.length", 1.0, "m", log=False, prior_mean=1.0, prior_std=0.02)
+    information = np.array([[1e6]])
+    assert determinations([length], information, np.array([[0.015**2]]))[length.key].determined
 
 
 def test_other_numbers_are_left_as_they_are() -> None:

@@ -4,6 +4,9 @@ The posterior covariance of the fitted coordinates is compared with the prior on
 in the generalised eigenproblem C_posterior d = lambda C_prior d, lambda is the share of the prior's variance
 that the data left (Spantini et al., "Optimal low-rank approximations of Bayesian linear inverse problems",
 SIAM J. Sci. Comput. 37, 2015).
+
+That is what noise leaves. The grid, errors that last and what the model lacks bend a number as well; where
+they leave more of it open than noise does, the same share decides of the number by itself.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ SMALL = 0.05
 SMALLEST_COMPONENT = 0.2
 # What is noted of a number of which nothing is known.
 SAYS_NOTHING = "the data say nothing about it"
+BENT = "noise would let it be told, but errors of the grid and of the model leave it open"
 # How surely the length of a direction, fitted as a vector of any length, is known to be one.
 CERTAIN = 1e-6
 
@@ -68,7 +72,8 @@ def determinations(
 ) -> dict[str, Determination]:
     """By key, how well each free parameter is known.
 
-    information: (P, P) of the measurements alone; covariance: (P, P) of the coordinates, priors included.
+    information: (P, P) of the measurements alone; covariance: (P, P) of the coordinates, priors included, and
+    whatever else leaves them open.
     """
     if not free:
         return {}
@@ -84,13 +89,14 @@ def determinations(
     for k, parameter in enumerate(free):
         spread = math.sqrt(max(covariance[k, k], 0.0))
         undetermined = from_prior[k] > 0.5 * variance[k] and math.sqrt(variance[k]) > SMALL
+        bent = spread**2 > max(variance[k], LARGEST_SHARE * reference[k] ** 2) and spread > SMALL
         if undetermined:
             # Where neither data nor prior bound it, the pseudo-inverse would say that nothing is known as 0.
             spread = max(spread, math.sqrt(variance[k]))
             note = _note(free, directions[poor], left[poor], k)
         else:
-            note = _bound_note(parameter)
-        found[parameter.key] = Determination(spread * parameter.slope, not undetermined, note)
+            note = "; ".join(filter(None, [_bound_note(parameter), BENT if bent else ""]))
+        found[parameter.key] = Determination(spread * parameter.slope, not (undetermined or bent), note)
     return found
 
 
