@@ -140,12 +140,16 @@ class UserForces:
             if moving:
                 moved, by = [o for o, _ in moving], [w for _, w in moving]
                 pulled = torch.autograd.grad(moved, leaves, by, create_graph=True, allow_unused=True)
+            used = [k for k, p in enumerate(pulled) if p is not None and p.requires_grad]
+            reached = [pulled[k] for k in used]
             lanes: list[Sequence[Tensor]] = [outputs]
             for change in changes:
-                terms = [(p * t).sum() for p, t in zip(pulled, change, strict=True) if p is not None]
                 slopes: Sequence[Tensor | None] = [None] * len(weights)
-                if terms:
-                    slopes = torch.autograd.grad(sum(terms), weights, retain_graph=True, allow_unused=True)
+                if reached:
+                    along = [change[k] for k in used]
+                    slopes = torch.autograd.grad(
+                        reached, weights, along, retain_graph=True, allow_unused=True
+                    )
                 lanes.append(
                     [torch.zeros_like(w) if g is None else g for w, g in zip(weights, slopes, strict=True)]
                 )
