@@ -1,6 +1,7 @@
 """The fit command: its JSON, its exit codes, its run folder, stopping and resuming."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -59,6 +60,22 @@ def test_json_has_the_documented_shape(fitted: dict) -> None:
         assert ranges["rms"] == pytest.approx(ranges["rms_over_sigma"] * SIGMA * np.sqrt(3))
     assert fitted["sequences"]["swing"]["fit"]["count"] == 16 * 12 - 1
     assert fitted["substeps"] > 50
+
+
+def test_what_follows_the_last_stage_is_told_while_it_goes_on(fitted: dict, tmp_path: Path) -> None:
+    folder = shutil.copytree(fitted["run"], tmp_path / "run")
+    code, _, said = call(command.main, "--out", folder, "--resume", "--workers", 1)
+    assert code == 0
+    told = re.findall(r"^\[ *(\d+) %, .*\] (.*)$", said, re.MULTILINE)
+    shares, lines = [int(share) for share, _ in told], [line for _, line in told]
+    assert shares == sorted(shares) and shares[-1] > 85
+    expected = [
+        *(f"how far {key} can be moved" for key in ("bar.youngs_modulus", "viscosity.eta")),
+        *(f"predicting {name}" for name in ("swing", "other")),
+        *(f"what an error of {name}" for name in ("clock", "lengths", "thickness", "gravity")),
+    ]
+    for words in expected:
+        assert any(line.startswith(words) for line in lines), words
 
 
 def test_intervals_can_be_asked_for_afterwards(fitted: dict, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mphygs.fit import countdown
-from mphygs.fit.countdown import Countdown, duration
+from mphygs.fit.countdown import Countdown, Pieces, duration
 
 
 @pytest.mark.parametrize(
@@ -33,3 +33,16 @@ def test_the_rest_takes_as_long_as_the_work_so_far_says(monkeypatch: pytest.Monk
 
 def test_nobody_need_listen() -> None:
     Countdown(None, "refits begun", 2.0).done(1.0)
+
+
+def test_pieces_are_told_as_one_whole() -> None:
+    told: list[tuple[float, str]] = []
+    pieces = Pieces(lambda share, line: told.append((share, line)), {"fit": 6.0, "skipped": 0.0, "rest": 2.0})
+    fit, rest = pieces.shares("fit"), pieces.lines("rest", 2)
+    fit(0.5, "half of it")
+    fit(1.2, "all of it, and more")
+    for line in ("first", "second", "one more than was expected"):
+        rest(line)
+    shares = [share for share, _ in told]
+    assert shares == pytest.approx([0.375, 0.75, 0.75, 0.875, 1.0])
+    assert [line for _, line in told[-2:]] == ["second", "one more than was expected"]

@@ -17,17 +17,25 @@ from mphygs.commands.fit_options import FitOptions, check_options
 from mphygs.commands.image_stages import recorded_seconds
 from mphygs.commands.options import OptionError
 from mphygs.fit.checkpointed import fit_run
+from mphygs.fit.countdown import Pieces
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.fit_document import fit_document, fit_text
 from mphygs.fit.limits import narrowed_to_seen
 from mphygs.fit.of_run import HOMOGENEOUS, baseline_of, capture_of, feedback_document
-from mphygs.fit.one_sided import coarser_change, limits_of
+from mphygs.fit.one_sided import amounts_of, coarser_change, limits_of
 from mphygs.fit.pictured_run import fit_pictured, with_shares
 from mphygs.fit.profile import intervals
 from mphygs.fit.run import Run
-from mphygs.fit.sensitivity import sensitivity_of
+from mphygs.fit.schedule import iterations_of, plan_of
+from mphygs.fit.sensitivity import KINDS, sensitivity_of
 from mphygs.simulate.settings import available_cores
 from mphygs.simulate.timeline import MOST_SUBSTEPS
+
+# What follows a fit, in iterations of it: to look at one number's limits, to compare and write down what was
+# found, to see what errors of the measurement do, and to find both ends of an interval.
+LIMIT, DOCUMENT, SENSITIVITY, INTERVAL = 0.5, 2.0, 2.5, 18.0
+# And what a fit takes that is not made of such iterations: far longer than what follows.
+OTHER = 100.0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -83,19 +91,20 @@ def fitted(
         console.say("sensors: compared, but not fitted, which this way of fitting does to markers alone")
     console.begin()
     baseline = baseline_of(state)
+    pieces = _pieces(options, state, experiment, screening, console)
     if baseline is not None:
         extra: dict[str, object] = {}
         if baseline == "prior":
             from mphygs.synth.flower.looks import flower_looks
 
             extra["examples"] = partial(flower_looks, state.seed)
-        state = fit_baseline(state, experiment, console.progress, **extra)
+        state = fit_baseline(state, experiment, pieces.shares("fit"), **extra)
         experiment = replace(experiment, make=maker_of(state), problems={})
     elif state.stages is not None:
         state = fit_pictured(state, experiment, console)
     else:
         given = {name: str(state.options[name]) for name in ("optimiser", "schedule")}
-        state = fit_run(state, experiment, **given, screening=screening, progress=console.progress)
+        state = fit_run(state, experiment, **given, screening=screening, progress=pieces.shares("fit"))
     simulated = baseline in (None, HOMOGENEOUS)
     if state.stages is not None and simulated:
         console.say("what the grid and unsure boundaries leave open")
@@ -103,18 +112,23 @@ def fitted(
     found = {}
     if options.intervals:
         console.say("the fit is done and kept; intervals from the likelihood:")
-        found = intervals(experiment.problem(state.settings.spacing), state.belief, report=console.say)
+        tell = pieces.lines("intervals", len(state.belief.free))
+        found = intervals(experiment.problem(state.settings.spacing), state.belief, report=tell)
     problem, evaluation = experiment.problem(state.settings.spacing), None
     if state.stages is None and simulated and not screening:  # the first of many models is no one's answer
+        tell = pieces.lines("limits", 1 + len(amounts_of(state.belief)))
+        tell("the fit is done and kept; how far its numbers can be moved")
         evaluation = problem.evaluate(state.belief)
         change = coarser_change(experiment, state.belief, evaluation, state.settings.spacing)
-        limits = limits_of(problem, state.belief, evaluation, change)
+        limits = limits_of(problem, state.belief, evaluation, change, tell)
         information, spread = narrowed_to_seen(state.belief.free, state.information, state.covariance, limits)
         state = replace(state, information=information, covariance=spread, limits=limits)
     stages = None if state.stages is None else recorded_seconds(state.stages)
-    answer = fit_document(state, experiment, found, stages=stages, report=console.say)
+    tell = console.say if stages is not None else pieces.lines("document", len(capture.sequences))
+    answer = fit_document(state, experiment, found, stages=stages, report=tell)
     if evaluation is not None:
-        answer["sensitivity"] = sensitivity_of(problem, state.belief, evaluation)
+        tell = pieces.lines("sensitivity", KINDS)
+        answer["sensitivity"] = sensitivity_of(problem, state.belief, evaluation, tell)
     if options.feedback is not None:
         console.say("predicting under feedback")
         answer["feedback"] = feedback_document(
@@ -123,6 +137,26 @@ def fitted(
     state = replace(state, answer=answer)
     state.save()
     return state, capture
+
+
+def _pieces(
+    options: FitOptions, state: Run, experiment: Experiment, screening: bool, console: Console
+) -> Pieces:
+    """The fit and what follows it, as one whole. Of a baseline, and a fit to pictures, less follows."""
+    told = state.stages is None and baseline_of(state) in (None, HOMOGENEOUS) and not screening
+    usual = told and state.options.get("schedule") == "fast"
+    plan = plan_of(experiment.capture, state.settings.spacing, warm=False, screening=screening)
+    free = len(state.belief.free)
+    return Pieces(
+        console.progress,
+        {
+            "fit": 0.0 if state.complete else iterations_of(plan) if usual else OTHER,
+            "intervals": INTERVAL * free if options.intervals else 0.0,
+            "limits": LIMIT * (1 + len(amounts_of(state.belief))) if told else 0.0,
+            "document": DOCUMENT,
+            "sensitivity": SENSITIVITY if told else 0.0,
+        },
+    )
 
 
 def _check_duration(experiment: Experiment, state: Run) -> None:

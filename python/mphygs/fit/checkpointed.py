@@ -81,27 +81,32 @@ def fit_run(
     if run.complete:
         return run
     paper = schedule == "paper"
+    newton = not paper and optimiser == "gauss-newton"
     spacing = run.settings.spacing
     plan: Sequence[ScheduleStage | PaperStage] = (
         paper_plan(spacing, experiment.fitted, from_rest=remembers(run.belief.effects))
         if paper
-        else plan_of(experiment.capture, spacing, warm=warm, screening=screening)
+        else plan_of(experiment.capture, spacing, warm=warm, screening=screening, searching=newton)
     )
     if not windows:
         plan = tuple(s for s in plan if (s.length is None if isinstance(s, PaperStage) else s.share == 1.0))
     total = sum(stage.work for stage in plan)
     done = sum(stage.work for stage in plan[: len(run.history)])
     begin = time.monotonic()
-    steps = 0
+    steps = 0.0
     experiment.problem(run.settings.spacing)  # the noise is learnt once, and before anything is fitted
 
-    def report(line: str) -> None:
+    def report(line: str, step: float = 1.0) -> None:
         nonlocal steps
-        steps += 1
+        steps += step
         if progress:
             stage = plan[min(len(run.history), len(plan) - 1)]
             share = min(steps / (stage.reports + 1), 0.95)
             progress((done + share * stage.work) / total, line)
+
+    def aside(line: str) -> None:
+        stage, before = plan[len(run.history)], plan[len(run.history) - 1]
+        report(line, (stage.spacing / before.spacing) ** 4)
 
     def after_stage(stage: ScheduleStage | PaperStage, solution: Solution) -> None:
         nonlocal run, done, begin, steps
@@ -130,11 +135,10 @@ def fit_run(
         run.save()
         experiment.refer(run.belief)
         _forget(experiment)
-        done, begin, steps = done + stage.work, now, 0
+        done, begin, steps = done + stage.work, now, 0.0
 
     _forget(experiment)
     minimiser: Callable[..., object] = fit_belief
-    newton = not paper and optimiser == "gauss-newton"
     if paper:
         from mphygs.fit.paper import fit_by_windows
 
@@ -151,6 +155,7 @@ def fit_run(
         experiment.observations,
         run.settings,
         **({} if paper else {"warm": warm}),
+        **({"aside": aside} if newton else {}),
         **({"before": (run.earlier, run.history[-1].misfit)} if newton and run.history else {}),
         report=report,
         after_stage=after_stage,

@@ -1,9 +1,9 @@
-"""How much of a stage is done, and about how long the rest of it takes."""
+"""How much of the work is done, and about how long the rest of it takes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 
 def duration(seconds: float) -> str:
@@ -32,3 +32,25 @@ class Countdown:
         seconds = (time.monotonic() - self._begin) * self._left / self._done
         share = self._done / (self._done + self._left)
         self._report(f"{self._stage}: {share:.0%} done, about {duration(seconds)} left of it")
+
+
+class Pieces:
+    """Pieces of work, one after the other, told as one whole. works: of each by name, in any unit."""
+
+    def __init__(self, progress: Callable[[float, str], None], works: Mapping[str, float]) -> None:
+        self._progress = progress
+        self._spans: dict[str, tuple[float, float]] = {}
+        total, begun = sum(works.values()), 0.0
+        for name, work in works.items():
+            self._spans[name] = begun / total, work / total
+            begun += work
+
+    def shares(self, name: str) -> Callable[[float, str], None]:
+        """Told the share of one piece that is done, and a line."""
+        first, width = self._spans[name]
+        return lambda share, line: self._progress(first + width * min(share, 1.0), line)
+
+    def lines(self, name: str, expected: int) -> Callable[[str], None]:
+        """Told a line at the beginning of each of so many steps of one piece."""
+        tell, told = self.shares(name), iter(range(expected))
+        return lambda line: tell(next(told, expected) / expected, line)

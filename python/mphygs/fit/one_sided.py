@@ -15,7 +15,7 @@ change the motion by so many.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,17 +54,22 @@ AMOUNTS = ("strength", "level")
 
 
 def limits_of(
-    problem: Problem, belief: Belief, evaluation: Evaluation, change: np.ndarray | None = None
+    problem: Problem,
+    belief: Belief,
+    evaluation: Evaluation,
+    change: np.ndarray | None = None,
+    report: Callable[[str], None] | None = None,
 ) -> dict[str, Limits]:
     """By key, how far each free Young's modulus, and each amount of an effect, can be moved; of all free
     numbers, where the motion goes by leaps.
 
     evaluation: of the belief, at its minimum, with Jacobian; change: (N,) error of the grid in the measured
-    rows (see `coarser_change`), None where it is not known. What cannot be simulated does not fit, on the
+    rows (see `coarser_change`), None where it is not known; report: told each number before it is moved. What
+    cannot be simulated does not fit, on the
     side of less; on that of more it says nothing. None are told of a model that leaves far more than noise:
     what it lacks would be taken for a bound.
     """
-    amounts = [p for p in belief.free if _is_amount(p)]
+    amounts = amounts_of(belief)
     if not amounts or evaluation.misfit > FAR:
         return {}
     leaps = not derivatives_hold(problem, belief, evaluation)
@@ -75,11 +80,18 @@ def limits_of(
     found = {p.key: Limits(None, None, leaps=True) for p in belief.free} if leaps else {}
     for index, p in enumerate(belief.free):
         if p in amounts:
+            if report:
+                report(f"how far {p.key} can be moved ({amounts.index(p) + 1} of {len(amounts)})")
             others = [np.delete(measured, index, axis=1)] if not leaps else []
             directions = np.concatenate([measured[:, :0], *others, *grid], axis=1)
             search = _Search(problem, belief, p, _Likelihood(directions), evaluation, float(std[index]))
             found[p.key] = search.limits(leaps)
     return found
+
+
+def amounts_of(belief: Belief) -> list[Parameter]:
+    """The free numbers whose limits are looked for in any case."""
+    return [p for p in belief.free if _is_amount(p)]
 
 
 def derivatives_hold(problem: Problem, belief: Belief, evaluation: Evaluation) -> bool:

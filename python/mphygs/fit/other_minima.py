@@ -45,7 +45,7 @@ def other_minima(
         return []
     least = problem.evaluate(belief, jacobian=False).cost
     found: list[tuple[float, Belief]] = []
-    tell = report_of_iterations(report, "another minimum")
+    tell = report_of_iterations(report, f"another minimum ({1e3 * problem.settings.spacing:.3g} mm)")
     for trial in _starts(belief, moduli):
         try:
             other = minimise(
@@ -92,12 +92,14 @@ def lowest_of(
 ) -> Solution:
     """The lowest minimum on a problem's grid: that which was found, or where the others lead to.
 
-    options: of `minimise`. A solution that one of the others led to tells which, as its start.
+    report: told of every iteration; options: of `minimise`. A solution that one of the others led to tells
+    which, as its start.
     """
     best = found
+    tell = report_of_iterations(report, f"another minimum ({1e3 * problem.settings.spacing:.3g} mm)")
     for belief in others:
         try:
-            other = minimise(problem, belief, **options)
+            other = minimise(problem, belief, report=tell, **options)
         except SimulationError:
             continue
         if other.evaluation.cost < best.evaluation.cost:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -31,8 +31,9 @@ SCREENING_ACCURACY, TRACTABLE = 1e-3, 4.0
 TRACKED_LEAST = 2e-3
 # A model this far from the data [sigma] is fitted no further than a few iterations.
 HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
-# How many iterations a stage takes, as far as progress is concerned.
-USUAL_ITERATIONS = 5
+# How many iterations a stage takes, as far as progress is concerned, and how many refits the last one of an
+# object of several parts takes to look for other minima: from one or two of a coarser grid, along the valley.
+USUAL_ITERATIONS, SEARCHES = 5, 3
 # A model that leaves so many times as much when it comes to a finer grid, and so many sigma, is brought
 # onward there from its first frames: thin parts had other materials on the coarse one. Shares of the frames
 # and iterations.
@@ -55,8 +56,8 @@ class ScheduleStage:
 
     @property
     def work(self) -> float:
-        """Cost relative to that of other stages: cells times substeps times frames."""
-        return self.share * self.spacing**-4
+        """Cost relative to that of other stages: iterations times cells times substeps times frames."""
+        return self.reports * self.share * self.spacing**-4
 
 
 def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[ScheduleStage, ...]:
@@ -78,12 +79,15 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sch
 
 
 def plan_of(
-    capture: Capture, spacing: float, *, warm: bool, screening: bool = False
+    capture: Capture, spacing: float, *, warm: bool, screening: bool = False, searching: bool = True
 ) -> tuple[ScheduleStage, ...]:
     """The stages of a fit of a capture at a spacing [m]. screening: whether it is one of many models that are
-    tried, where the grid is as coarse as that asks for."""
+    tried, where the grid is as coarse as that asks for; searching: whether the optimiser looks for other
+    minima, which takes time."""
     # Rounded as spacings are: the coarsest grid is that of a screening fit, which has no other.
     plan = stages(spacing, warm=warm, coarsest=round(COARSEST * default_spacing(capture), 6))
+    if searching and len(capture.parts) > 1:
+        plan = (*plan[:-1], replace(plan[-1], reports=USUAL_ITERATIONS * (1 + SEARCHES)))
     if any(s.markers is not None and s.markers.spread is not None for s in capture.sequences):
         plan = tuple(replace(stage, least=TRACKED_LEAST) for stage in plan)
     if not screening or spacing <= FINE * deciding_spacing(capture):
@@ -91,6 +95,12 @@ def plan_of(
     return tuple(
         replace(stage, accuracy=max(stage.accuracy, SCREENING_ACCURACY), gross=TRACTABLE) for stage in plan
     )
+
+
+def iterations_of(plan: Sequence[ScheduleStage]) -> float:
+    """Iterations on the grid of the last stage that take about as long as a whole plan."""
+    last = plan[-1]
+    return last.reports * sum(stage.work for stage in plan) / last.work
 
 
 def _brought_onward(
@@ -122,6 +132,7 @@ def fit_belief(
     *,
     warm: bool = False,
     report: Callable[[str], None] | None = None,
+    aside: Callable[[str], None] | None = None,
     after_stage: Callable[[ScheduleStage, Solution], None] | None = None,
     start_stage: int = 0,
     before: tuple[Belief | None, float] = (None, 0.0),
@@ -131,7 +142,8 @@ def fit_belief(
     """Run the schedule from a belief. Returns the last stage's solution and problem.
 
     ranges: frames to fit per sequence; settings.spacing is the fine spacing; warm: the belief is near its
-    minimum already; start_stage: first stage to run (resume); before: the belief of the stage before the
+    minimum already; aside: told, in place of report, of what is done on a coarser grid than the stage's, and
+    takes less time; start_stage: first stage to run (resume); before: the belief of the stage before the
     last one that was run, if any, and the misfit that the last one left [sigma]; problems: cache by spacing,
     filled here; plan: stages in place of the usual ones.
     """
@@ -175,7 +187,8 @@ def fit_belief(
             solution = on_by_part(problem, solution, again, accuracy=stage.accuracy, say=report)
         if number and stage.share == plan[number - 1].share and misfit < HOPELESS:
             coarse = problem_at(plan[number - 1].spacing)
-            solution = lowest_of(problem, solution, other_minima(coarse, last, report), report, **given)
+            others = other_minima(coarse, last, aside or report)
+            solution = lowest_of(problem, solution, others, report, **given)
         if number + 1 == len(plan) and solution.evaluation.misfit < HOPELESS:
             lower = lowest_of(problem, solution, lower_along(problem, solution)[:1], report, **given)
             solution = replace(lower, start=solution.start)  # the minimum of the coarser grid is the same

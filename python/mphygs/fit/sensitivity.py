@@ -6,7 +6,7 @@ one more prediction a line, and no refit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,16 +22,24 @@ from mphygs.simulate.errors import SimulationError
 
 # Relative change of rates and lengths, and angle of gravity [degree].
 CHANGE, ANGLE = 0.01, 1.0
+# Errors that are looked at.
+KINDS = 4
 # Dimensions of a part within this factor of the smallest are its section.
 HARDLY_LARGER = 1.5
 WHY = "E is only as good as the geometry and the clock, whatever its standard error:"
 
 
-def sensitivity_of(problem: Problem, belief: Belief, evaluation: Evaluation) -> dict[str, dict[str, object]]:
+def sensitivity_of(
+    problem: Problem,
+    belief: Belief,
+    evaluation: Evaluation,
+    report: Callable[[str], None] | None = None,
+) -> dict[str, dict[str, object]]:
     """By what is wrong: what it is changed by, and how far each fitted parameter would move, in its unit.
 
     evaluation: of the belief, at its minimum, with Jacobian. Of gravity, which may tilt either way, the
-    length of both movements, without a sign. What cannot be simulated is left out.
+    length of both movements, without a sign. What cannot be simulated is left out. report: told each before
+    it is looked at.
     """
     towards = covariance(evaluation) @ evaluation.jacobian.T
     slopes = np.array([p.slope for p in belief.free])
@@ -43,6 +51,8 @@ def sensitivity_of(problem: Problem, belief: Belief, evaluation: Evaluation) -> 
 
     found: dict[str, dict[str, object]] = {}
     for name, by, problems in _changes(problem):
+        if report:
+            report(f"what an error of {name} by {by} does")
         try:
             moves = np.array([moved(changed) for changed in problems])
         except (SimulationError, ValueError):
