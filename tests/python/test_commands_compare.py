@@ -1,5 +1,6 @@
 """The compare and predict commands, and the one name for all commands."""
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from mphygs.capture.format import load_capture, save_capture
 from mphygs.commands import command_table as all_commands
 from mphygs.commands import compare as command
 from mphygs.commands import fit, predict
+from mphygs.commands.console import Console
 from mphygs.compare.metrics import point_error
 from mphygs.compare.sequence_pictures import moving_most, spectrum
 
@@ -131,7 +133,8 @@ def test_faults_end_in_one_line_and_2(viscous: Path, capture: Path, tmp_path: Pa
 
 
 def test_one_name_for_all_commands(viscous: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    assert all_commands.main(["compare", str(viscous), "--json", "--out", str(tmp_path)]) == 0
+    line = ["compare", str(viscous), "--json", "--sequences", "swing", "--out", str(tmp_path)]
+    assert all_commands.main(line) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["adequate"] is True and answer["warnings"] == []
     assert all_commands.main(["guess"]) == 2
@@ -141,14 +144,13 @@ def test_one_name_for_all_commands(viscous: Path, tmp_path: Path, capsys: pytest
 
 
 def test_a_doubted_sigma_stands_in_the_text_and_the_json(
-    viscous: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    viscous: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(command, "doubted_sigma", lambda compared: [f"{', '.join(compared)}: too small"])
-    assert command.main([str(viscous), "--out", str(tmp_path), "--json"]) == 0
-    (line,) = json.loads(capsys.readouterr().out)["warnings"]
-    assert line.endswith(": too small")
-    assert command.main([str(viscous), "--out", str(tmp_path)]) == 0
-    assert f"warning: {line}" in capsys.readouterr().out
+    options = command.CompareOptions(run=viscous, sequences="swing", out=tmp_path)
+    told = command.compare_command(options, Console(io.StringIO()))
+    assert told.document["warnings"] == ["swing: too small"]
+    assert "warning: swing: too small" in told.text.splitlines()
 
 
 def test_an_interrupt_while_a_command_loads_is_one_line(

@@ -31,8 +31,28 @@ def elastic(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_extend_shows_the_error_before_and_after(elastic: Path) -> None:
-    found = answer(extend.main, elastic, "viscosity")
+@pytest.fixture(scope="module")
+def extended(elastic: Path) -> dict:
+    """The extension of the elastic run, where one goes by itself."""
+    return answer(extend.main, elastic, "viscosity")
+
+
+@pytest.fixture(scope="module")
+def diagnosed(elastic: Path) -> dict:
+    """The diagnosis of the elastic run, by one that is not stopped."""
+    return answer(diagnose.main, elastic, "--effects", CANDIDATES)
+
+
+@pytest.fixture(scope="module")
+def discovered(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """The loop that is not stopped."""
+    out = tmp_path_factory.mktemp("loops") / "again"
+    options = ("--out", out, "--spacing", SPACING, "--effects", CANDIDATES)
+    return out, answer(discover.main, capture, *options)
+
+
+def test_extend_shows_the_error_before_and_after(elastic: Path, extended: dict) -> None:
+    found = extended
     assert found["run"] == f"{elastic}-viscosity"
     before, after = found["steps"]
     assert (before["effects"], after["effects"], after["added"]) == ([], ["viscosity"], ["viscosity"])
@@ -49,8 +69,8 @@ def test_extend_shows_the_error_before_and_after(elastic: Path) -> None:
     assert abs(eta["value"] - fitted["viscosity.eta"]["value"]) < 0.5 * eta["std"]
 
 
-def test_extend_says_when_an_effect_does_not_pay(elastic: Path, tmp_path: Path) -> None:
-    viscous = answer(extend.main, elastic, "viscosity", "--out", tmp_path / "viscous")["run"]
+def test_extend_says_when_an_effect_does_not_pay(extended: dict, tmp_path: Path) -> None:
+    viscous = extended["run"]
     found = answer(extend.main, viscous, "eigenstrain", "--out", tmp_path / "more")
     assert found["steps"][1]["pays"] is False
     assert found["effects"] == []
@@ -97,9 +117,8 @@ def test_extend_refuses_in_one_line(elastic: Path, tmp_path: Path, arguments: li
     assert not (tmp_path / "run").exists()
 
 
-def test_diagnose_names_what_is_missing(elastic: Path) -> None:
-    before = (elastic / "run.json").read_bytes()
-    found = answer(diagnose.main, elastic, "--effects", CANDIDATES)
+def test_diagnose_names_what_is_missing(elastic: Path, diagnosed: dict) -> None:
+    found = diagnosed
     assert set(found) == {
         "verdict", "effects", "ranking", "missing_force", "drift", "advice", "table", "path",
     }  # fmt: skip
@@ -125,16 +144,16 @@ def test_diagnose_names_what_is_missing(elastic: Path) -> None:
     assert after_["adequate"] and (after_["p_value"] >= 0.01 or after_["fitted"] < 1.1)
     assert "viscosity" in found["advice"]
     assert json.loads((elastic / "diagnosis.json").read_text()) == found
-    assert (elastic / "run.json").read_bytes() == before
 
 
 @pytest.mark.parametrize("kept", [1, 2])
 def test_diagnose_goes_on_where_it_was_stopped(
-    kept: int, elastic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kept: int, elastic: Path, diagnosed: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """kept: the number of steps that it had found."""
     run = tmp_path / "a run"
     shutil.copytree(elastic, run)
+    before = (run / "run.json").read_bytes()
     write = diagnose.write_record
 
     def broken_off(path: Path, document: dict) -> None:
@@ -155,15 +174,16 @@ def test_diagnose_goes_on_where_it_was_stopped(
     assert code == 2 and f"began with {CANDIDATES}" in err and err.count("\n") == 1
     found = answer(diagnose.main, run, "--effects", CANDIDATES, "--resume")
     monkeypatch.undo()
-    assert found == answer(diagnose.main, elastic, "--effects", CANDIDATES)
+    assert found == diagnosed
+    assert (run / "run.json").read_bytes() == before
     code, _, err = call(diagnose.main, run, "--effects", CANDIDATES, "--resume")
     assert code == 2 and "no diagnosis that was stopped" in err
 
 
-def test_a_fit_takes_away_what_a_diagnosis_had_found(capture: Path, tmp_path: Path) -> None:
+def test_a_fit_takes_away_what_a_diagnosis_had_found(capture: Path, elastic: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     fitted = (fit.main, capture, "--out", out, "--spacing", SPACING)
-    answer(*fitted)
+    shutil.copytree(elastic, out)
     (out / diagnose.SO_FAR).write_text('{"steps": [], "states": []}')
     answer(*fitted)
     assert not (out / diagnose.SO_FAR).exists()
@@ -231,8 +251,8 @@ def test_discover_ends_unknown_with_the_force(capture: Path, tmp_path: Path) -> 
     assert answer(discover.main, capture, *options, "--resume") == found
 
 
-def test_diagnose_leaves_a_complete_model_alone(elastic: Path, tmp_path: Path) -> None:
-    viscous = answer(extend.main, elastic, "viscosity", "--out", tmp_path / "viscous")["run"]
+def test_diagnose_leaves_a_complete_model_alone(extended: dict) -> None:
+    viscous = extended["run"]
     code, out, err = call(diagnose.main, viscous, "--effects", "gravity,viscosity")
     assert (code, out) == (2, "") and "'viscosity' is in the model already" in err
     found = answer(diagnose.main, viscous, "--effects", "gravity,mass_damping")
@@ -250,7 +270,11 @@ def test_diagnose_leaves_a_complete_model_alone(elastic: Path, tmp_path: Path) -
 
 @pytest.mark.parametrize("kept", [False, True])
 def test_discover_runs_the_loop_and_resumes(
-    kept: bool, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kept: bool,
+    capture: Path,
+    discovered: tuple[Path, dict],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """kept: whether it is stopped right after the step with the effect was kept, or right before."""
     options = ("--out", tmp_path / "loop", "--spacing", SPACING, "--effects", CANDIDATES)
@@ -273,7 +297,7 @@ def test_discover_runs_the_loop_and_resumes(
     monkeypatch.undo()
     assert len(json.loads((tmp_path / "loop" / "steps.json").read_text())["steps"]) == 1 + kept
     found = answer(discover.main, capture, *options, "--resume")
-    again = answer(discover.main, capture, "--out", tmp_path / "again", *options[2:])
+    other, again = discovered
     assert [s["effects"] for s in found["steps"]] == [[], ["viscosity"]]
     assert (found["verdict"], found["effects"]) == ("missing", ["viscosity"])
     assert found["steps"] == again["steps"]
@@ -290,7 +314,7 @@ def test_discover_runs_the_loop_and_resumes(
     assert code == 2 and f"began with {CANDIDATES}" in err
     run = load_run(found["run"])
     assert run.complete and run.belief.effects == ("viscosity",)
-    diagnoses = [json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("loop", "again")]
+    diagnoses = [json.loads((folder / "diagnosis.json").read_text()) for folder in (tmp_path / "loop", other)]
     assert diagnoses[0]["effects"] == ["viscosity"]
     assert diagnoses[0] == diagnoses[1]
 

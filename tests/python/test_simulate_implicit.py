@@ -34,6 +34,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated
 
 FRAMES, FPS, SIGMA = 36, 60.0, 1e-4
 STIFF = 5e8
+# Frames of what is fitted: its lowest vibration passes twice.
+FITTED = 24
 
 
 def stem(frames: int = FRAMES) -> Capture:
@@ -192,7 +194,7 @@ def test_an_implicit_step_with_mls_is_refused_in_one_line() -> None:
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     folder = tmp_path_factory.mktemp("stiff")
-    capture = stem()
+    capture = stem(FITTED)
     belief = bar_belief(capture, youngs_modulus=STIFF, density=800.0)
     predictor = Predictor(capture, capture.sequence("a"), settings(IMPLICIT))
     predictor.steps_a_frame = 4 * FEWEST  # the truth in steps a quarter as long
@@ -201,7 +203,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     one = capture.sequences[0]
     assert one.markers is not None
     markers = Markers(seen, one.markers.at, SIGMA)
-    recording = replace(one, markers=markers, predict=(24, FRAMES))
+    recording = replace(one, markers=markers, fit=(0, 16), predict=(16, FITTED))
     save_capture(replace(capture, sequences=(recording,)), folder / "capture")
     options = ("--out", folder / "run", "--integrator", "implicit", "--spacing", 0.008, "--preset", "stem")
     given = answer(fit, folder / "capture", *options)
@@ -223,7 +225,7 @@ def test_the_commands_go_on_with_implicit_steps(fitted: dict) -> None:
     before = fitted["answer"]["sequences"]["a"]["predict"]["rms"]
     assert before < 1.2 * SIGMA * np.sqrt(3.0)  # of all three components
     predicted_again = answer(predict, fitted["run"])["sequences"]["a"]
-    assert predicted_again["substeps"] == fitted["steps"] * (FRAMES - 1)
+    assert predicted_again["substeps"] == fitted["steps"] * (FITTED - 1)
     compared = answer(compare, fitted["run"])["sequences"]["a"]
     assert compared["predict"]["rms"] == pytest.approx(before, rel=1e-3)
     assert answer(diagnose, fitted["run"], "--effects", "mass_damping")["ranking"]
