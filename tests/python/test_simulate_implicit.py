@@ -34,8 +34,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated
 
 FRAMES, FPS, SIGMA = 36, 60.0, 1e-4
 STIFF = 5e8
-# Frames of what is fitted: its lowest vibration passes twice.
-FITTED = 24
+# Frames of what is fitted: as few as ask for more steps a frame than the fewest.
+FITTED = 27
 
 
 def stem(frames: int = FRAMES) -> Capture:
