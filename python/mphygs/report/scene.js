@@ -120,7 +120,7 @@ function mphygsScene(root, Plotly, data) {
     }
     const byPart = pick("paint").value === "part", parts = skin.parts.length;
     const [x, y, z] = columns(points, M, vertices), near = (e) => (Number.isFinite(e) ? `${e.toFixed(3)} mm off` : "not measured here");
-    const bar = { title: { text: "error mm", side: "right" }, thickness: 14, len: 0.8, x: 1.0 };
+    const bar = { title: { text: "error mm", side: "right" }, thickness: 14, len: 0.8, x: 1.0, xanchor: "right" };  // within the drawing, whatever its width
     const mesh = { type: "mesh3d", x, y, z, i: corners[0], j: corners[1], k: corners[2], name: "skin",
       text: skin.part.map((p, v) => `${skin.parts[p]}<br>${near(error[v])}`), hovertemplate: "%{text}<extra></extra>",
       lighting: { ambient: 0.65, diffuse: 0.55, specular: 0.08, roughness: 0.7, fresnel: 0.05 },
@@ -139,8 +139,8 @@ function mphygsScene(root, Plotly, data) {
     const arrows = arrowTraces(at, colours);
     const axis = (a) => ({ range: [MM * motion.low[a], MM * motion.high[a]], title: { text: `${"xyz"[a]} mm` },
       gridcolor: colours.line, zerolinecolor: colours.line, color: colours.quiet, showbackground: false, nticks: 5 });
-    const layout = layoutOf({ height: HEIGHT, margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false,
-      uirevision: camera ?? "home", scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
+    const layout = layoutOf({ height: HEIGHT, margin: { l: 0, r: 24, t: 0, b: 0 }, showlegend: false,
+      uirevision: camera ?? "home", scene: { domain: { x: [0, 0.9] }, xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual",
         aspectratio: { x: ratio[0], y: ratio[1], z: ratio[2] },
         uirevision: camera ?? "home", camera: home } }, colours);
     layout.datarevision = revision++;
