@@ -12,7 +12,7 @@ namespace {
 using F = Fields<double>;
 const Schedule usual{{9, 12}, {1e-4, 8e-5}, 0.01};
 const Schedule implicit = [] {
-    Schedule s{{3, 4}, {4e-4, 3e-4}, 0.01};
+    Schedule s{{1, 2}, {4e-4, 3e-4}, 0.01};
     s.implicit = true;
     return s;
 }();

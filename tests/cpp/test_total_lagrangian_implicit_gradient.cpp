@@ -153,6 +153,7 @@ void bend(Geometry& g, const TotalLagrangian<double>& straight) {
 
 void make(const Case& c, Scene& s) {
     Schedule own = schedule;
+    own.steps = {1, 2};  // one step after another, and one frame
     if (c.paired) {
         own.steps = {2, 4};
         own.paired = true;
