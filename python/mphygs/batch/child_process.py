@@ -1,8 +1,8 @@
-"""`python -m mphygs.batch.child_process SCRIPT ...`: a script that ends with the process that began it.
+"""`python -m mphygs.batch.child_process ...`: a command that ends with the process that began it.
 
-SCRIPT: its file, or "" for `mphygs`; what follows are its arguments. Standard input is the other end of a
-pipe that nothing is written to: once it is closed, by whatever ended the worker, the script is interrupted as
-by Ctrl-C, and killed where it does not heed that.
+Its arguments are the command's: of `mphygs`, or of the script whose file the environment names. Standard
+input is the other end of a pipe that nothing is written to: once it is closed, by whatever ended the worker,
+the command is interrupted as by Ctrl-C, and killed where it does not heed that.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import sys
 import threading
 import time
 
+# Of the environment: the file of a script to run in place of the package.
+SCRIPT = "MPHYGS_BATCH_SCRIPT"
 # Seconds that an interrupted command has to leave its run folder in order.
 GRACE = 10.0
 
@@ -28,16 +30,16 @@ def interrupt_when_closed(descriptor: int) -> None:
 
 
 def main() -> None:
-    """Run what the first argument says with the others."""
+    """Run `mphygs`, or the script, with the arguments of this process."""
     # whoever began it may have been deaf to interrupts, as what runs in the background is
     signal.signal(signal.SIGINT, signal.default_int_handler)
     pipe = os.dup(0)
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)
     threading.Thread(target=interrupt_when_closed, args=(pipe,), daemon=True).start()
-    script = sys.argv.pop(1)
+    script = os.environ.pop(SCRIPT, "")
     if script:
-        sys.argv[0], sys.path[0] = script, os.path.dirname(script)
+        sys.path[0] = os.path.dirname(script)
         runpy.run_path(script, run_name="__main__")
     else:
         runpy.run_module("mphygs", run_name="__main__", alter_sys=True)

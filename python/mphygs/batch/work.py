@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mphygs.batch.child_process import SCRIPT
 from mphygs.capture.errors import one_line
 from mphygs.capture.folder_mark import is_held
 
@@ -121,9 +122,11 @@ def _run(
 ) -> Outcome:
     """One process of a command from its beginning to its end."""
     environment = dict(os.environ) | {name: str(threads) for name in THREADS}
+    if task.script is not None:
+        environment[SCRIPT] = str(task.script)
     with tempfile.TemporaryFile() as said, task.log.open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "mphygs.batch.child_process", str(task.script or ""), *words],
+            [sys.executable, "-m", "mphygs.batch.child_process", *words],
             stdin=subprocess.PIPE,
             stdout=said,
             stderr=log,
