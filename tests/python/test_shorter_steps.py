@@ -37,14 +37,14 @@ def test_a_jerk_is_followed_in_shorter_steps_and_the_same_again() -> None:
     predictor, belief = jerked()
     usual = predictor.timeline(belief, LAST, predictor.stable_substep(belief)).substeps
     motion = predictor.predict(belief)
-    assert usual < motion.substeps < 4 * usual
+    assert usual < motion.substeps < 2 * usual
     assert np.isfinite(motion.position).all()
     # neither what ran before nor derivatives change a step
     again = predictor.twin(1)
     again.forget()
     told = again.predict(belief, keys=(KEY,))
     assert told.substeps == motion.substeps
-    np.testing.assert_allclose(told.position, motion.position, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(told.position, motion.position, rtol=0, atol=1e-10)
 
 
 def test_its_gradient_is_that_of_the_shorter_steps() -> None:

@@ -101,10 +101,14 @@ def test_frequencies_of_a_clamped_strip_converge_with_the_square_of_a_cell() -> 
 
 
 def test_a_cupped_leaf_does_not_lock() -> None:
-    """Cells twelve times as long as it is thick, beside such of less than seven."""
+    """Cells ten and seventeen times as long as it is thick, beside such of less than seven: 2.8 and 13 % off
+    where points are as far apart as the moments along the leaf have them."""
     capture = held_capture([leaf()], box=[[-1, -1, -1], [2e-3, 1, 1]])
-    coarse, fine = (frequencies(capture, h, 2, youngs_modulus=5e6) for h in (3.5e-3, 2e-3))
-    assert coarse[0] == pytest.approx(fine[0], rel=3e-2)
+    coarse, middle, fine = (
+        frequencies(capture, h, 2, youngs_modulus=5e6)[0] for h in (5e-3, 3e-3, 2e-3)
+    )
+    assert middle == pytest.approx(fine, rel=2e-2)
+    assert coarse == pytest.approx(fine, rel=5e-2)
 
 
 @pytest.mark.slow

@@ -1,8 +1,6 @@
 // The mass that nodes of thin parts share: set-up, and the matrix of given masses.
 #include "mphygs/total_lagrangian/consistent_mass.hpp"
 
-#include <algorithm>
-
 #include "mphygs/total_lagrangian/model.hpp"
 
 namespace mphygs {

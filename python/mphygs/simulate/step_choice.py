@@ -11,8 +11,7 @@ from mphygs.capture.record import Sequence as Recording
 
 # What implicit steps have at least. A swing of a sixth of the frame rate falls behind by 0.14 % of its period
 # then, or half of it in pairs, each of which is one step of its rule (Bathe and Baig 2005). Newton's method
-# does not always find a step of half a frame. Thin things in large swings, undamped, make four times of an
-# error what it is counted as below; to find shorter steps takes them hardly longer.
+# does not always find a step of half a frame.
 FEWEST = 8
 FEWEST_PAIRED = 2 * FEWEST
 # Of the noise, that the steps may be off: together they are 3 % more than the noise.
@@ -47,11 +46,11 @@ def steps_a_frame(recording: Recording, *, paired: bool = False) -> int:
 
 def steps_to_predict(recording: Recording, others: Iterable[Recording], *, paired: bool = False) -> int:
     """As `steps_a_frame`; where nothing is fitted, steps as short as any of the other sequences takes."""
-    own = steps_a_frame(recording, paired=paired)
-    if recording.fit[1] > recording.fit[0]:
-        return own
-    rates = (steps_a_frame(other, paired=paired) * other.fps for other in others)
-    return max(own, *(ceil(rate / recording.fps - 1e-9) for rate in rates), 0)
+    steps = [steps_a_frame(recording, paired=paired)]
+    if recording.fit[1] <= recording.fit[0]:
+        rates = [steps_a_frame(other, paired=paired) * other.fps for other in others]
+        steps += [ceil(rate / recording.fps - 1e-9) for rate in rates]
+    return max(steps)
 
 
 def _spectrum(recording: Recording, first: int) -> tuple[np.ndarray, np.ndarray, float] | None:
