@@ -153,16 +153,20 @@ def _wind(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _check_twice(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Raises CaptureError where triangles stand there twice, wound alike: what they enclose counts twice."""
+    """Raises CaptureError where triangles stand there twice, wound alike: what they enclose counts twice.
+
+    Triangles that are no wider than corners are told apart by enclose nothing, however often.
+    """
     step = 1e-6 * max(float(np.ptp(vertices, axis=0).max()), 1e-300)
     corners = _same_rows(np.round((vertices - vertices.min(axis=0)) / step).astype(np.int64))[faces]
+    corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
     # the smallest corner first, the order kept: one that is wound the other way is another triangle
     first = np.argmin(corners, axis=1)
     turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
     count = np.bincount(_same_rows(turned))
     twice = int((count > 1).sum())
     if twice:
-        what = f"{twice} of its {len(count)} triangles stand there twice"
+        what = f"{twice} of its {len(faces)} triangles stand there twice"
         raise fault(str(path), f"{what}, so that a body's volume counts double", "every body once")
 
 
