@@ -178,7 +178,8 @@ def test_auto_changes_over_where_an_implicit_step_costs_as_much_as_the_explicit_
         explicit = Predictor(capture, capture.sequence("a"), settings(EXPLICIT))
         cost.append(predictor.transfer.implicit_cost)
         substep = explicit.stable_substep(bar_belief(capture, youngs_modulus=1e6, density=800.0))
-        even = 1e6 * (cost[-1] * substep * FEWEST * FPS) ** 2  # substeps fall with the modulus's root
+        step = 1.0 / (predictor.steps_a_frame * FPS)
+        even = 1e6 * (cost[-1] * substep / step) ** 2  # substeps fall with the modulus's root
         for share, implicit in ((0.98, False), (1.02, True)):
             belief = bar_belief(capture, youngs_modulus=share * even, density=800.0)
             assert predictor.implicit(belief) == implicit

@@ -73,6 +73,17 @@ def test_a_motion_that_is_not_fitted_has_steps_as_short_as_those_that_are() -> N
     assert 2 * steps_to_predict(other, (swift, other)) in (steps_a_frame(swift), steps_a_frame(swift) + 1)
 
 
+def test_steps_are_as_much_shorter_as_cells_are() -> None:
+    still, swing = np.zeros(FRAMES), 0.02 * np.sin(2 * np.pi * 6.0 * np.arange(FRAMES) / FPS)
+    calm, swift = (measured(beam(), motion, 1e-5).sequences[0] for motion in (still, swing))
+    for paired, fewest in ((False, FEWEST), (True, FEWEST_PAIRED)):
+        assert steps_a_frame(calm, paired=paired, finer=1.5) == 1.5 * fewest
+        assert steps_a_frame(calm, paired=paired, finer=0.75) == max(0.75 * fewest, FEWEST)
+        asked = steps_a_frame(swift, paired=paired)
+        assert steps_a_frame(swift, paired=paired, finer=1.5) == pytest.approx(1.5 * asked, abs=1)
+        assert steps_a_frame(swift, paired=paired, finer=0.75) == asked > fewest
+
+
 def test_frames_that_are_not_fitted_are_not_looked_at() -> None:
     swing = 0.02 * np.sin(2 * np.pi * 6.0 * np.arange(FRAMES) / FPS)
     capture = measured(beam(), np.where(np.arange(FRAMES) < 60, 0.0, swing), 1e-5)

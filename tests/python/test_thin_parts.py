@@ -12,9 +12,10 @@ from scipy.integrate import solve_bvp
 from bar_capture import bar_belief
 from mphygs.capture.format import Capture
 from mphygs.capture.meshes import Part
-from mphygs.fit.spacings import DEFAULT_CELLS, default_spacing
+from mphygs.fit.spacings import default_spacing
 from mphygs.model.belief import Belief
 from mphygs.scene.curved_quadrature import chosen_shape, lay_chart
+from mphygs.scene.spacing_worth import DEFAULT_CELLS
 from mphygs.simulate.held_material import HeldMaterial
 from mphygs.simulate.modes import natural_modes
 from mphygs.simulate.prediction import Predictor, Settings

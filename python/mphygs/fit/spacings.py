@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from mphygs.capture.format import Capture
-from mphygs.scene.spacing_worth import spacing_worth
+from mphygs.scene import spacing_worth as worth
 
-# Cells that an object of default spacing is worth: about 250 of its volume, and of its sheets and rods.
-DEFAULT_CELLS = 250
 # Cells of material, eight points each, that tens of gigabytes hold.
 MOST_CELLS = 2e6
 # Of the default spacing: where many models are tried, and where those that are left are decided between.
@@ -18,15 +14,13 @@ FINE = 1.1
 
 
 def default_spacing(capture: Capture) -> float:
-    """Grid spacing that gives about DEFAULT_CELLS full cells of material [m], two digits."""
-    spacing = spacing_worth(capture.parts, DEFAULT_CELLS)
-    digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)
-    return float(np.round(spacing / digits) * digits)
+    """Grid spacing that gives about 250 full cells of material [m], two digits."""
+    return worth.default_spacing(capture.parts)
 
 
 def check_spacing(capture: Capture, spacing: float, where: str) -> None:
     """Raises ValueError, beginning with `where`, for a grid of more cells than fit into memory."""
-    finest = spacing_worth(capture.parts, MOST_CELLS)
+    finest = worth.spacing_worth(capture.parts, MOST_CELLS)
     if spacing < finest:
         raise ValueError(
             f"{where}: got {spacing:g} m; expected {finest:.2g} m or more, {MOST_CELLS:.0e} cells of material"

@@ -10,6 +10,16 @@ from scipy.optimize import brentq
 from mphygs.capture.meshes import Part
 from mphygs.scene.curved_quadrature import cell_count
 
+# Cells that an object of default spacing is worth: about 250 of its volume, and of its sheets and rods.
+DEFAULT_CELLS = 250
+
+
+def default_spacing(parts: Sequence[Part]) -> float:
+    """The spacing that gives parts about DEFAULT_CELLS full cells of material [m], two digits."""
+    spacing = spacing_worth(parts, DEFAULT_CELLS)
+    digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)
+    return float(np.round(spacing / digits) * digits)
+
 
 def spacing_worth(parts: Sequence[Part], cells: float) -> float:
     """The spacing of which parts are worth so many cells [m]: of the volume of solids, of sheets and rods of

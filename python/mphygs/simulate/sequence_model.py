@@ -13,6 +13,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import FORCE
 from mphygs.model.belief import Belief
+from mphygs.scene.spacing_worth import default_spacing
 from mphygs.simulate.actuation import Actuation, acts_by_channels
 from mphygs.simulate.batches import Owned
 from mphygs.simulate.body import Body, hold_boxes
@@ -90,10 +91,12 @@ class SequenceModel:
 
     @cached_property
     def steps_a_frame(self) -> int:
-        """Of implicit steps, as the capture's sequence of the name asks for, whatever points are followed."""
+        """Of implicit steps, as the capture's sequence of the name and the grid ask for, whatever points are
+        followed."""
         every = self.capture.sequences
         own = next((s for s in every if s.name == self.recording.name), self.recording)
-        return steps_to_predict(own, every, paired=self.body.curved)
+        finer = default_spacing(self.capture.parts) / self.settings.spacing
+        return steps_to_predict(own, every, paired=self.body.curved, finer=finer)
 
     # ---- models, substeps ---------------------------------------------------------------------
     def model(

@@ -9,9 +9,9 @@ import numpy as np
 
 from mphygs.capture.record import Sequence as Recording
 
-# What implicit steps have at least. A swing of a sixth of the frame rate falls behind by 0.14 % of its period
-# then, or half of it in pairs, each of which is one step of its rule (Bathe and Baig 2005). Newton's method
-# does not always find a step of half a frame.
+# What implicit steps have at least, on a grid of default spacing. A swing of a sixth of the frame rate
+# falls behind by 0.14 % of its period then, or half of it in pairs, each of which is one step of its rule
+# (Bathe and Baig 2005). Newton's method does not always find a step of half a frame.
 FEWEST = 8
 FEWEST_PAIRED = 2 * FEWEST
 # Of the noise, that the steps may be off: together they are 3 % more than the noise.
@@ -20,35 +20,41 @@ SHARE = 0.25
 SEEN = 9.0
 
 
-def steps_a_frame(recording: Recording, *, paired: bool = False) -> int:
+def steps_a_frame(recording: Recording, *, paired: bool = False, finer: float = 1.0) -> int:
     """The fewest steps a frame, not below the least, whose error is below SHARE of the markers' noise.
 
     The midpoint rule swings by (w h)^2 / 12 too slowly, in pairs with BDF2 by (w h)^2 / 6: the first terms of
     log A - i w h, A by what a step multiplies e^(i w t). After t a swing of the frequency w is off by w t
     times that share of its size, at most counted as all of it. What swings is taken from the spectrum of the
     markers in the frames to fit, so that the steps are the same whatever a fit tries, now and when it goes
-    on. paired: whether the steps are.
+    on. A motion that is no swing, as the fall of a sheet by its own length, may be off by some times that. So
+    steps go with the grid: what changes on a finer one tells the error of both, which fall alike.
+
+    paired: whether the steps are; finer: default spacing over that of the grid.
     """
+    least = max(FEWEST, ceil((FEWEST_PAIRED if paired else FEWEST) * finer - 1e-9))
     first = recording.release or 0
     swings = None if recording.markers is None else _spectrum(recording, max(first, recording.fit[0]))
-    steps = FEWEST_PAIRED if paired else FEWEST
     if swings is None:
-        return steps
+        return least
     rate, power, noise = swings
     span = (recording.frames - first) / recording.fps
     delay = 1.0 / 6.0 if paired else 1.0 / 12.0
+    steps = FEWEST
     while True:
         late = delay * rate**3 * span / (np.sqrt(3.0) * (steps * recording.fps) ** 2)
         if (np.minimum(late, 1.0) ** 2) @ power <= (SHARE * noise) ** 2:
-            return steps
+            return max(least, ceil(steps * max(finer, 1.0) - 1e-9))
         steps += 1
 
 
-def steps_to_predict(recording: Recording, others: Iterable[Recording], *, paired: bool = False) -> int:
+def steps_to_predict(
+    recording: Recording, others: Iterable[Recording], *, paired: bool = False, finer: float = 1.0
+) -> int:
     """As `steps_a_frame`; where nothing is fitted, steps as short as any of the other sequences takes."""
-    steps = [steps_a_frame(recording, paired=paired)]
+    steps = [steps_a_frame(recording, paired=paired, finer=finer)]
     if recording.fit[1] <= recording.fit[0]:
-        rates = [steps_a_frame(other, paired=paired) * other.fps for other in others]
+        rates = [steps_a_frame(other, paired=paired, finer=finer) * other.fps for other in others]
         steps += [ceil(rate / recording.fps - 1e-9) for rate in rates]
     return max(steps)
 
