@@ -26,7 +26,9 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.spacings import deciding_spacing, screening_spacing
 
 
-def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
+def next_spacing(
+    experiment: Experiment, steps: Sequence[Step], report: Callable[[str], None] | None = None
+) -> float | None:
     """Spacing [m] on which the last step should be asked again, None where its grid will do."""
     first, last = steps[0], steps[-1]
     deciding = deciding_spacing(experiment.capture)
@@ -34,7 +36,8 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
         return None
     if leaves_most(steps) and not has_onset(last) and not sequences_without_loads(experiment):
         # No third effect is tried: what a finer grid may have of it decides.
-        return deciding if not misses_physics(steps[-2]) and _grid_may_have(experiment, last) else None
+        undecided = not misses_physics(steps[-2]) and _grid_may_have(experiment, last, report)
+        return deciding if undecided else None
     # What sets in is judged by the fitted frames: how it goes on from there they may leave open.
     label = "fit" if has_onset(last) else None
     small = last.added and excess(last.assessment, label) < EXPLAINED_ON_COARSE * excess(
@@ -44,9 +47,9 @@ def next_spacing(experiment: Experiment, steps: Sequence[Step]) -> float | None:
         return deciding
     if not last.added and last.solution.evaluation.misfit < GROSS:
         # Near enough on the fitted frames, and far off on others: the grid's error bends the materials.
-        return deciding if _grid_may_have(experiment, last) else None
+        return deciding if _grid_may_have(experiment, last, report) else None
     fell = last.added and excess(last.assessment, label) < LARGELY * excess(steps[-2].assessment, label)
-    return deciding if fell and _grid_may_have(experiment, last) else None
+    return deciding if fell and _grid_may_have(experiment, last, report) else None
 
 
 def misses_physics(step: Step) -> bool:
@@ -55,7 +58,9 @@ def misses_physics(step: Step) -> bool:
     return known_budget(step) and budget["physics"] > BEYOND * budget["discretisation"]
 
 
-def _grid_may_have(experiment: Experiment, step: Step) -> bool:
+def _grid_may_have(experiment: Experiment, step: Step, report: Callable[[str], None] | None) -> bool:
+    if report:
+        report(f"what a grid finer than {1e3 * step.spacing:.3g} mm changes")
     return may_have_all(experiment, step.spacing, step.belief, step.solution.evaluation)
 
 
@@ -76,10 +81,10 @@ def on_required_grid(
     current, hopeless, spacing = steps[-1], False, None
     if screening and not known_budget(current) and current.assessment.worst > LARGEST_EXCUSED:
         # No tangents will excuse it: another grid may be asked without them.
-        spacing = next_spacing(experiment, steps)
+        spacing = next_spacing(experiment, steps, report)
     if spacing is None:
         current = complete(experiment, current, screening=screening)
-        spacing = next_spacing(experiment, steps) if screening and not current.explained else None
+        spacing = next_spacing(experiment, steps, report) if screening and not current.explained else None
     deciding = deciding_spacing(experiment.capture)
     if screening and tied and current.explained and current.spacing > 1.1 * deciding:
         spacing = deciding
