@@ -23,8 +23,8 @@ LAST = 4  # soon after the jerk: later what snaps through is told by no derivati
 
 
 @cache
-def jerked(jump: float = 0.12, frames: int = LAST) -> tuple[Predictor, Belief]:
-    """A soft sheet, its hold 12 cm higher a sixtieth of a second later."""
+def jerked(jump: float = 0.1, frames: int = LAST) -> tuple[Predictor, Belief]:
+    """A soft sheet, its hold 10 cm higher a sixtieth of a second later."""
     motion = np.zeros((frames, 3))
     motion[2:, 2] = jump
     capture = held_capture([strip(0.04, 0.02, held=0.003)], frames=frames, motion=motion)

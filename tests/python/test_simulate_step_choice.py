@@ -45,14 +45,16 @@ def test_a_swing_gets_the_steps_that_its_delay_asks_for(hertz: float, size: floa
     assert expected > 1.2 * FEWEST
     assert steps_a_frame(capture.sequences[0]) == pytest.approx(expected, rel=0.15)
     paired = steps_a_frame(capture.sequences[0], paired=True)
-    assert paired == pytest.approx(max(expected * 2**0.5, FEWEST_PAIRED), rel=0.15)
+    assert paired == pytest.approx(max(expected * 1.94**0.5, FEWEST_PAIRED), rel=0.15)
 
 
-@pytest.mark.parametrize(("paired", "share"), [(False, 1 / 12), (True, 1 / 6)])
+@pytest.mark.parametrize(("paired", "share"), [(False, 1 / 12), (True, 2 * 2**0.5 - 8 / 3)])
 def test_a_step_delays_a_swing_by_the_share_that_is_counted(paired: bool, share: float) -> None:
     z = 0.05j  # i w h
-    middle = (1 + z / 2) / (1 - z / 2)
-    steps, factor = (2, (4 * middle - 1) / (3 - 2 * z)) if paired else (1, middle)
+    span = 2 - 2**0.5 if paired else 0.5
+    middle = (1 + span * z) / (1 - span * z)
+    after = ((1 + 2**0.5) * middle + 1 - 2**0.5) / 2 / (1 - span * z)
+    steps, factor = (2, after) if paired else (1, middle)
     assert 1 - np.angle(factor) / (steps * z.imag) == pytest.approx(share * z.imag**2, rel=0.01)
 
 

@@ -63,7 +63,7 @@ inline void TotalLagrangianDirections<T, L>::share_inertia(double span) {
 template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd& x, int n, int frame, double middle, double dt, bool last) {
     const SubstepRule rule = value_.rule(n);
-    const double span = rule.span * dt;
+    const double span = rule.span * dt, elapsed = rule.elapsed * dt;
     const bool pulls = value_.observer_ && value_.pulling_;
     enter(x);
     for (std::size_t i = 0; i < v_.size(); ++i) {
@@ -73,10 +73,10 @@ inline void TotalLagrangianDirections<T, L>::midpoint_map(const Eigen::MatrixXd&
     for (std::size_t a = 0; a < added_.size(); ++a) {
         added_[a].forces = added0_[a].forces;
     }
-    team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), middle, dt); });
+    team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), middle, elapsed); });
     reduce_forces();
     place_forces(middle);
-    hook_forces(middle, dt);
+    hook_forces(middle, elapsed);
     known_forces(frame);
     actuate(n, frame, dt);
     share_inertia(span);
@@ -111,15 +111,15 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     u0_ = u_;
     v0_ = v_;
     for (std::size_t i = 0; rule.second && i < u_.size(); ++i) {
-        u0_[i] = (T(4) * u_[i] - past_u_[i]) / T(3);
-        v0_[i] = (T(4) * v_[i] - past_v_[i]) / T(3);
+        u0_[i] = static_cast<T>(rule.last) * u_[i] - static_cast<T>(rule.before) * past_u_[i];
+        v0_[i] = static_cast<T>(rule.last) * v_[i] - static_cast<T>(rule.before) * past_v_[i];
     }
     if (schedule_.paired && !rule.second) {
         past_u_ = u_;
         past_v_ = v_;
     }
     history0_ = history_;
-    refresh(middle, dt);
+    refresh(middle, rule.elapsed * dt);
     added0_ = added_;
     Eigen::MatrixXd x = velocities();
     const std::size_t count = directions_.size();
@@ -174,7 +174,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
             throw error;
         }
         if (i == patience && !fresh) {
-            m.refresh(middle, dt, rule.span * dt);
+            m.refresh(middle, rule.elapsed * dt, rule.span * dt);
             fresh = true;
             for (Anderson& a : mixed) {
                 a.forget();
@@ -190,7 +190,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
         value_.finish_midpoint(n, frame, dt);
         return;
     }
-    const T h = static_cast<T>(dt);
+    const T h = static_cast<T>(rule.length * dt);
     const std::vector<W> mean = v_;
     for (std::size_t k = 0; k < v_.size(); ++k) {
         v_[k] = T(2) * mean[k] - v0_[k];

@@ -52,18 +52,18 @@ template <class T, int K>
 inline void TotalLagrangianRun<T, K>::midpoint_map(const Eigen::VectorXd& x, int n, int frame, double time, double dt) {
     MidpointState<T>& m = *midpoint_;
     const SubstepRule rule = this->rule(n);
-    const double span = rule.span * dt, middle = time + rule.at * dt;
+    const double span = rule.span * dt, elapsed = rule.elapsed * dt, middle = time + rule.at * dt;
     by_component(x, m.middle);
     m.place.resize(size_);
     for (std::size_t i = 0; i < size_; ++i) {
         m.place[i] = m.u0[i] + static_cast<T>(span) * m.middle[i];
     }
     stand_at_middle();
-    refresh_uniforms(middle, dt);
-    team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), middle, dt); });
+    refresh_uniforms(middle, elapsed);
+    team_->each(static_cast<int>(model_.chunks_.size()), [&](int c) { chunk_forces(static_cast<std::size_t>(c), middle, elapsed); });
     reduce_forces();
     place_forces(middle);
-    hook_forces(middle, dt);
+    hook_forces(middle, elapsed);
     known_forces(frame);
     actuate(index(frame), target_basis(n, frame, dt).value, n);
     share_inertia(span);
@@ -102,8 +102,8 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     m.u0 = u_;
     m.v0 = m.start = v_;
     for (std::size_t i = 0; rule.second && i < size_; ++i) {
-        m.u0[i] = (T(4) * u_[i] - past_u_[i]) / T(3);
-        m.v0[i] = (T(4) * v_[i] - past_v_[i]) / T(3);
+        m.u0[i] = static_cast<T>(rule.last) * u_[i] - static_cast<T>(rule.before) * past_u_[i];
+        m.v0[i] = static_cast<T>(rule.last) * v_[i] - static_cast<T>(rule.before) * past_v_[i];
     }
     if (schedule_.paired && !rule.second) {
         past_u_ = u_;
@@ -121,7 +121,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         place.swap(m.place);
         velocity.swap(m.middle);
         try {
-            m.refresh(time + rule.at * dt, dt, rule.span * dt);
+            m.refresh(time + rule.at * dt, rule.elapsed * dt, rule.span * dt);
         } catch (SimulationError& error) {
             error.frame = frame + 1;
             error.shorter = true;
@@ -132,7 +132,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     };
     const auto work = [&](const Eigen::VectorXd& a, const Eigen::VectorXd& b) { return (a.array() * m.matrix.weight().array() * b.array()).sum(); };
     Eigen::VectorXd x = by_node(v_) + m.ahead(), best = by_node(v_), way, rest_there;
-    if (!m.begin_step(dt)) {
+    if (!m.begin_step(rule.span * dt)) {
         std::vector<T> place(size_), velocity;
         by_component(x, velocity);
         for (std::size_t i = 0; i < size_; ++i) {
@@ -271,7 +271,7 @@ inline void TotalLagrangianRun<T, K>::finish_midpoint(int n, int frame, double d
         }
         return;
     }
-    const T h = static_cast<T>(dt);
+    const T h = static_cast<T>(rule.length * dt);
     for (std::size_t i = 0; i < size_; ++i) {
         v_[i] = inverse_mass_[i % stride_] == T{} ? T{} : T(2) * m.middle[i] - m.v0[i];
         u_[i] = -h * m.middle[i];

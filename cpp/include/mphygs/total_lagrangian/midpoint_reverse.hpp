@@ -39,7 +39,8 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
     constexpr double few = 10.0;  // times round-off, which is measured once and not alike each time
     const SubstepRule rule = run_.rule(n);
     const double dt = step_dt_[index(n)], middle = step_time_[index(n)] + rule.at * dt;
-    const T h = static_cast<T>(dt), span = static_cast<T>(rule.span * dt);
+    const double elapsed = rule.elapsed * dt;
+    const T h = static_cast<T>(rule.length * dt), span = static_cast<T>(rule.span * dt);
     MidpointState<T>& m = *run_.midpoint_;
     m.take(rule.second);
     const std::vector<T>& begin = rule.second ? r.begin_u : r.u;
@@ -81,7 +82,7 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         still_without_mass();
         start = vbar_;
         kept = ubar_;
-        reverse_accelerations(n, r, middle, dt, rule.span * dt);
+        reverse_accelerations(n, r, middle, elapsed, rule.span * dt);
         std::vector<T> sum(run_.size_);
         for (std::size_t i = 0; i < run_.size_; ++i) {
             sum[i] = wanted[i] + span * (ubar_[i] - kept[i]) + (vbar_[i] - start[i]);
@@ -94,8 +95,8 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
             });
         return run_.by_node(sum);
     };
-    if (!m.begin_step(dt)) {
-        m.refresh(middle, dt, rule.span * dt);
+    if (!m.begin_step(rule.span * dt)) {
+        m.refresh(middle, elapsed, rule.span * dt);
     }
     if (trial_.of.empty()) {
         trial_ = this->sums_like_own();
@@ -132,7 +133,7 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
             throw SimulationError("the adjoint of the implicit step does not converge at t = " + std::to_string(step_time_[index(n)]) + " s");
         }
         if (!fresh && (i == patience || (i > slow_step && rate > 0.5))) {
-            m.refresh(middle, dt, rule.span * dt);
+            m.refresh(middle, elapsed, rule.span * dt);
             fresh = true;
             mixed.forget();
         }
@@ -144,14 +145,15 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
         ubar_[k] += end[k];
         vbar_[k] = start[k] - reflected[k];
     }
-    if (rule.second) {  // u* = (4 u_n - u_n-1) / 3, v* likewise
+    if (rule.second) {  // u* = last u_n - before u_n-1, v* likewise
+        const T last = static_cast<T>(rule.last), before = static_cast<T>(rule.before);
         past_u_bar_.resize(run_.size_);
         past_v_bar_.resize(run_.size_);
         for (std::size_t k = 0; k < run_.size_; ++k) {
-            past_u_bar_[k] = ubar_[k] / T(-3);
-            past_v_bar_[k] = vbar_[k] / T(-3);
-            ubar_[k] *= T(4) / T(3);
-            vbar_[k] *= T(4) / T(3);
+            past_u_bar_[k] = -before * ubar_[k];
+            past_v_bar_[k] = -before * vbar_[k];
+            ubar_[k] *= last;
+            vbar_[k] *= last;
         }
     } else if (schedule_.paired) {
         for (std::size_t k = 0; k < run_.size_; ++k) {

@@ -55,23 +55,14 @@ struct MidpointState {
     std::vector<double> impulse;               // (3, rows) half of what every row of the holds gives [N s]
     // Of what is rounded: a cell's strains vanish at rest, but with prestress every one of them is a difference of ones.
     double length = 0;                         // [m]
-    /// Factors of the first or the second kind of substep from here on, each kept while the other is used.
-    void take(bool second) {
-        if (second != second_) {
-            if (!other_) {
-                other_ = std::make_unique<Factors>(Factors{matrix, {}});
-            }
-            std::swap(matrix, other_->matrix);
-            std::swap(use_, other_->use);
-            second_ = second;
-        }
-    }
+    /// Which of a pair the substeps from here on are: what is expected of them.
+    void take(bool second) { second_ = second; }
     /// Before a step: false where it needs factors of its own. Factors serve steps that are nearly as long, as long as a step
     /// costs no more than the mean of all steps since they were made, their making among it: that mean is least then.
-    bool begin_step(double dt) {
+    bool begin_step(double span) {
         ++use_.steps;
         use_.step = 0;
-        return !use_.stale && std::abs(use_.dt - dt) < 0.05 * dt;
+        return !use_.stale && std::abs(use_.span - span) < 0.05 * span;
     }
     /// How the velocity is expected to change from the start to the middle: as in the last step of the kind, and as much more
     /// or less as that was more than the one before.
@@ -92,31 +83,26 @@ struct MidpointState {
     }
     /// Whether factors of where an iteration is now, after which it takes two more, cost less than so many iterations.
     bool renewal_pays(double iterations) const { return (iterations - 2.0) * cost_.iteration > cost_.renewal; }
-    /// Factors of the matrix at the middle as it stands.
-    void refresh(double time, double dt, double span) {
-        assembly->assemble(place, middle, history0, time, dt, span, matrix);
+    /// Factors of the matrix at the middle as it stands, so long after forces were last asked for.
+    void refresh(double time, double elapsed, double span) {
+        assembly->assemble(place, middle, history0, time, elapsed, span, matrix);
         if (!matrix.factorise()) {
             throw SimulationError("the implicit step's matrix is singular at t = " + std::to_string(time) +
                                   " s: the material has inverted, or a load softens it without bound");
         }
-        use_ = {dt, cost_.renewal, 0.0, 1.0, false};
+        use_ = {span, cost_.renewal, 0.0, 1.0, false};
     }
 
   private:
     /// What factors are for, and what was spent on them and with them [operations].
     struct Use {
-        double dt = 0;             // step that they belong to [s]
+        double span = 0;           // of the rule that they belong to [s]
         double all = 0, step = 0;  // since they were made, and in the present step
         double steps = 0;          // since then, the present one among them
         bool stale = true;         // whether the next step needs its own
     };
-    struct Factors {
-        MidpointMatrix matrix;
-        Use use;
-    };
     MidpointCost cost_;
     Use use_;
-    std::unique_ptr<Factors> other_;
     bool second_ = false;
     std::array<std::array<Eigen::VectorXd, 2>, 2> changes_;  // of the velocity from the start to the middle, by kind: the last, the one before
 };

@@ -156,7 +156,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
     }
 
-    /// v* = v + span (f / m + gravity + effects), f at the state of the run and at `time` in a step dt.
+    /// v* = v + span (f / m + gravity + effects), f at the state of the run and at `time`, dt after it was last asked for.
     void reverse_accelerations(int n, const Record& r, double time, double dt, double span);
 
     void reverse_actuation(int n, int frame, double dt);

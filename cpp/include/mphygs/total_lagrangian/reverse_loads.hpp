@@ -28,7 +28,7 @@ inline void TotalLagrangianReverse<T>::reverse_actuation(int n, int frame, doubl
     }
     for (std::size_t i = 0; i < loads.poses.size(); ++i) {
         double* to = &pose_bar_[run_.pose_at(i / 12, n) + i % 12];
-        const double at = run_.rule(n).at;
+        const double at = run_.rule(n).within;
         to[0] += (1.0 - at) * loads.poses[i];
         to[12] += at * loads.poses[i];
     }
@@ -199,8 +199,8 @@ inline void TotalLagrangianReverse<T>::reverse_accelerations(int n, const Record
         }
     }
     reverse_uniforms(time, dt);
-    reverse_observer(n, frame, dt);
-    reverse_actuation(n, frame, dt);
+    reverse_observer(n, frame, step_dt_[index(n)]);
+    reverse_actuation(n, frame, step_dt_[index(n)]);
 }
 
 }  // namespace mphygs

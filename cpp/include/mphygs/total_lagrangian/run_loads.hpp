@@ -130,7 +130,7 @@ inline void TotalLagrangianRun<T, K>::pose_loads(ActuationStep& loads, const Fie
     const std::size_t holds = step < 0 || fields.pose.empty() ? 0 : static_cast<std::size_t>(model_.geometry_.hold_count);
     for (std::size_t i = 0; i < 12 * holds; ++i) {
         const std::size_t from = pose_at(i / 12, step) + i % 12;
-        const double now = static_cast<double>(fields.pose[from]), at = rule(step).at;
+        const double now = static_cast<double>(fields.pose[from]), at = rule(step).within;
         loads.poses.push_back((1.0 - at) * now + at * static_cast<double>(fields.pose[from + 12]));
     }
 }
