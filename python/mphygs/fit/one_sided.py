@@ -26,6 +26,7 @@ from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import covariance
 from mphygs.fit.limits import FAR, Limits
 from mphygs.fit.problem import Evaluation, Problem
+from mphygs.fit.schedule import COARSER
 from mphygs.fit.spacings import screening_spacing
 from mphygs.fit.uncertainty import grid_directions, prediction_change
 from mphygs.model.belief import Belief, Parameter
@@ -47,8 +48,6 @@ NOTHING = 1.0
 PROBED, HOLDS = 5.0, 0.35
 # A run so many times as long as that at the minimum is not made.
 LONGEST = 30.0
-# So many times as coarse a grid at least tells the error of one.
-COARSER = 1.3
 # The roles of an effect's numbers that say how much there is of it, or when it sets in.
 AMOUNTS = ("strength", "level")
 

@@ -23,6 +23,8 @@ from mphygs.simulate.settings import Settings
 COARSE_FACTOR = 1.5
 # Of the default spacing: thin parts are lost on grids coarser than this.
 COARSEST = 1.7
+# A grid that is not so many times as coarse is hardly cheaper, and tells nothing of the finer one's error.
+COARSER = 1.3
 # What is tried on a coarse grid is not worth its last digits; above so many sigma it is not dwelt on: its
 # first frames, where it is nearly right, will say why.
 SCREENING_ACCURACY, TRACTABLE = 1e-3, 4.0
@@ -67,7 +69,8 @@ def stages(spacing: float, *, warm: bool, coarsest: float = np.inf) -> tuple[Sch
     """
     if warm:
         return (ScheduleStage("fine", spacing, 1.0, 12, 1e-4),)
-    coarse = max(spacing, min(COARSE_FACTOR * spacing, coarsest))
+    coarse = min(COARSE_FACTOR * spacing, coarsest)
+    coarse = coarse if coarse >= COARSER * spacing else spacing
     plan = (
         ScheduleStage("coarse, first quarter", coarse, 0.25, 6, 3e-3),
         ScheduleStage("coarse, first half", coarse, 0.5, 4, 3e-3),
