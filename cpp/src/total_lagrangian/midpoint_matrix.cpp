@@ -52,12 +52,21 @@ MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t
     rows_.setFromTriplets(rows.begin(), rows.end());
     matrix_.resize(all, all);
     matrix_.setFromTriplets(entries.begin(), entries.end());
-    inertia_.assign(static_cast<std::size_t>(matrix_.nonZeros()), 0.0);
     for (Eigen::Index column = 0; column < nodes3(); ++column) {
         const int c = static_cast<int>(column % 3);
-        inertia_[static_cast<std::size_t>(entry(static_cast<int>(column / 3), column) + c)] = mass_[column];
+        matrix_.valuePtr()[entry(static_cast<int>(column / 3), column) + c] = mass_[column];
         for (Eigen::SparseMatrix<double>::InnerIterator it(shared, column / 3); it; ++it) {
-            inertia_[static_cast<std::size_t>(entry(static_cast<int>(it.row()), column) + c)] -= it.value();
+            matrix_.valuePtr()[entry(static_cast<int>(it.row()), column) + c] -= it.value();
+        }
+    }
+    still_.assign(matrix_.valuePtr(), matrix_.valuePtr() + matrix_.nonZeros());
+    cells_ = cells;
+    for (const CellNodes& cell : cells) {
+        CellPlaces& places = places_.emplace_back();
+        for (std::size_t i = 0; i < places.size(); ++i) {
+            const Eigen::Index column = 3 * cell[i / 27];
+            const std::int32_t row = cell[i % 27];
+            places[i] = mass_[3 * row] > 0.0 ? static_cast<std::int32_t>(entry(row, column) - matrix_.outerIndexPtr()[column]) : -1;
         }
     }
     // Every node by itself, and the rows of every hold and joint.
@@ -79,14 +88,7 @@ MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t
     solver_.analyse(matrix_, vertices, std::move(last));
 }
 
-void MidpointMatrix::clear() {
-    for (Eigen::Index column = 0; column < nodes3(); ++column) {
-        const Eigen::Index begin = matrix_.outerIndexPtr()[column], end = matrix_.outerIndexPtr()[column + 1];
-        for (Eigen::Index i = begin; i < end && matrix_.innerIndexPtr()[i] < nodes3(); ++i) {
-            matrix_.valuePtr()[i] = inertia_[static_cast<std::size_t>(i)];
-        }
-    }
-}
+void MidpointMatrix::clear() { std::copy(still_.begin(), still_.end(), matrix_.valuePtr()); }
 
 Eigen::Index MidpointMatrix::entry(int row_node, Eigen::Index column) const {
     const auto* rows = matrix_.innerIndexPtr();
@@ -95,25 +97,24 @@ Eigen::Index MidpointMatrix::entry(int row_node, Eigen::Index column) const {
 }
 
 template <class T>
-void MidpointMatrix::add(const CellNodes& cell, const CellMatrix<T>& block) {
-    double* values = matrix_.valuePtr();
-    for (int b = 0; b < 27; ++b) {
+void MidpointMatrix::add(std::size_t cell, const CellMatrix<T>& block) {
+    const CellPlaces& places = places_[cell];
+    for (std::size_t b = 0; b < 27; ++b) {
         for (int k = 0; k < 3; ++k) {
-            const Eigen::Index column = 3 * cell[static_cast<std::size_t>(b)] + k;
-            Eigen::Index at = 0;
-            for (int a = 0; a < 27; ++a) {
-                const std::int32_t node = cell[static_cast<std::size_t>(a)];
-                at = a > 0 && node == cell[static_cast<std::size_t>(a - 1)] + 1 ? at + 3 : entry(node, column);
-                for (int i = 0; i < 3 && mass_[3 * node] > 0.0; ++i) {  // nodes without mass stay where they are
-                    values[at + i] += static_cast<double>(block(a, 3 * (3 * b + k) + i));
+            double* column = matrix_.valuePtr() + matrix_.outerIndexPtr()[3 * cells_[cell][b] + k];
+            const T* of = block.data() + 27 * 3 * (3 * b + static_cast<std::size_t>(k));
+            for (std::size_t a = 0; a < 27; ++a) {
+                const std::int32_t at = places[27 * b + a];
+                for (std::size_t i = 0; i < 3 && at >= 0; ++i) {
+                    column[static_cast<std::size_t>(at) + i] += static_cast<double>(of[27 * i + a]);
                 }
             }
         }
     }
 }
 
-template void MidpointMatrix::add<float>(const CellNodes&, const CellMatrix<float>&);
-template void MidpointMatrix::add<double>(const CellNodes&, const CellMatrix<double>&);
+template void MidpointMatrix::add<float>(std::size_t, const CellMatrix<float>&);
+template void MidpointMatrix::add<double>(std::size_t, const CellMatrix<double>&);
 
 void MidpointMatrix::add(int node, const Eigen::Matrix3d& block) {
     for (int k = 0; k < 3; ++k) {

@@ -37,9 +37,9 @@ class CellAssembly : public MidpointAssembly<T> {
             }
         };
         part(model.rows_, false);
-        if (model.sites_.surface) {
-            part(model.surface_rows_, true);
-        }
+        acting_ = cells_.size();
+        part(model.surface_rows_, true);
+        acting_ = model.sites_.surface ? cells_.size() : acting_;
     }
 
     void assemble(const std::vector<T>& displacement, const std::vector<T>& velocity, const std::vector<Pack<T>>& history, double time, double dt,
@@ -52,9 +52,9 @@ class CellAssembly : public MidpointAssembly<T> {
         std::fill(run_.history_.begin(), run_.history_.end(), W{});
         to.clear();
         constexpr std::size_t abreast = 16;
-        std::vector<CellMatrix<T>> blocks(std::min(abreast, cells_.size()));
-        for (std::size_t first = 0; first < cells_.size(); first += abreast) {
-            const std::size_t count = std::min(abreast, cells_.size() - first);
+        std::vector<CellMatrix<T>> blocks(std::min(abreast, acting_));
+        for (std::size_t first = 0; first < acting_; first += abreast) {
+            const std::size_t count = std::min(abreast, acting_ - first);
             team_.each(static_cast<int>(count), [&](int k) {
                 const Cell& cell = cells_[first + static_cast<std::size_t>(k)];
                 CellMatrix<T>& block = blocks[static_cast<std::size_t>(k)];
@@ -68,8 +68,7 @@ class CellAssembly : public MidpointAssembly<T> {
                 }
             });
             for (std::size_t k = 0; k < count; ++k) {
-                const Cell& cell = cells_[first + k];
-                to.add(nodes_of_rows<T>((cell.surface ? model_.surface_rows_ : model_.rows_)[cell.begin]), blocks[k]);
+                to.add(first + k, blocks[k]);
             }
         }
         if (model_.sites_.point) {
@@ -248,7 +247,7 @@ class CellAssembly : public MidpointAssembly<T> {
                 }
             }
         });
-        to.add(place.node, block);
+        to.add(cells_.size() + number, block);
     }
 
     void add_body(std::size_t n, double time, double span, MidpointMatrix& to) {
@@ -291,7 +290,8 @@ class CellAssembly : public MidpointAssembly<T> {
     Team& team_;
     Fields<T> none_;
     Run run_;
-    std::vector<Cell> cells_;
+    std::vector<Cell> cells_;  // places follow them, as in the model's coupled nodes
+    std::size_t acting_;       // how many of them forces act in
 };
 
 }  // namespace mphygs

@@ -27,8 +27,8 @@ using CellMatrix = Eigen::Matrix<T, 27, 243>;
 
 class MidpointMatrix {
   public:
-    /// node: of every weight of the geometry's rows; cells: the nodes of every cell in use; mass: (N,) [kg], lumped; shared:
-    /// (N, N) what nodes of a cell share of it.
+    /// node: of every weight of the geometry's rows; cells: the nodes of every cell in use, in the order that `add` numbers them
+    /// in; mass: (N,) [kg], lumped; shared: (N, N) what nodes of a cell share of it.
     MidpointMatrix(const Geometry& geometry, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass,
                    const Eigen::SparseMatrix<double>& shared);
 
@@ -36,7 +36,7 @@ class MidpointMatrix {
     void clear();
     /// Adds to A what one cell's points make, or one node's own acceleration (row i, column k).
     template <class T>
-    void add(const CellNodes& cell, const CellMatrix<T>& block);
+    void add(std::size_t cell, const CellMatrix<T>& block);
     void add(int node, const Eigen::Matrix3d& block);
     /// False where a front is singular.
     bool factorise();
@@ -58,7 +58,11 @@ class MidpointMatrix {
     Eigen::Index entry(int row_node, Eigen::Index column) const;
 
     Eigen::VectorXd mass_, weight_;  // (3 N,)
-    std::vector<double> inertia_;    // of every entry of the saddle in a node's column: what A has without forces
+    // Where in the three columns of a cell's node b its node a's numbers begin, 27 b + a; -1 where a has no mass: it stays.
+    using CellPlaces = std::array<std::int32_t, 27 * 27>;
+    std::vector<CellNodes> cells_;
+    std::vector<CellPlaces> places_;
+    std::vector<double> still_;           // of every entry of the saddle: what it has without forces
     Eigen::SparseMatrix<double> rows_;    // C, (3 R, 3 N)
     Eigen::SparseMatrix<double> matrix_;  // the saddle
     SparseFactors solver_;
