@@ -30,22 +30,33 @@ class SparseFactors {
     double entries() const;
 
   private:
+    /// Numbers that stand together, and do where they are added.
+    struct Run {
+        int from, to, length;
+    };
     struct Front {
         int first = 0, pivots = 0;            // of the unknowns in the order of elimination
         std::vector<int> boundary;            // unknowns in the order of elimination
-        std::vector<int> in_parent;           // rows of the parent's front, of every unknown of the boundary
+        std::vector<Run> in_parent;           // of the boundary to rows of the parent's front, none across the end of its pivots
         int parent = -1;
         std::vector<int> children;
-        int first_entry = 0, entries = 0;     // of the matrix's entries that are added here
-        Eigen::PartialPivLU<Eigen::MatrixXd> diagonal;
-        Eigen::MatrixXd upper, lower;         // L^-1 P F12 and F21 U^-1
+        int first_entry = 0, entries = 0;     // runs of the matrix's entries that are added here
+        // Where L and U of the pivots over F21 U^-1, (p + b, p), and (L^-1 P F12)^T, (b, p), are: both are solved for along the
+        // boundary, which is long. And where (b, b), what it leaves of the boundary, is until its parent takes it.
+        std::size_t factors = 0, left = 0;
     };
+    template <class Numbers>
+    struct Parts;
+    auto exchanged(const Front& front) const { return Eigen::Map<const Eigen::VectorXi>(exchanged_.data() + front.first, front.pivots); }
     template <class Right>
     Right solved(const Right& right) const;
 
     std::vector<Front> fronts_;
     std::vector<int> order_;                  // unknown eliminated k-th
-    std::vector<int> entry_, entry_place_;    // front by front: number of the value in the matrix, and place in the front
+    std::vector<Run> entry_;                  // front by front: from the matrix's values to the front's factors
+    std::vector<int> exchanged_;              // front by front: row of the pivots that is taken k-th
+    std::size_t size_ = 0, left_ = 0, widest_ = 0;  // of the factors; of the room for what fronts leave, and for the largest F12
+    std::vector<double> factors_, room_;
     double work_ = 0;
 };
 
