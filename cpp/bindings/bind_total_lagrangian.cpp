@@ -32,6 +32,16 @@ std::vector<Added<T>> to_added(const py::list& list) {
 }
 
 template <class T>
+Trajectory<T> to_trajectory_bar(const py::tuple& t) {
+    if (t.size() != 2 && t.size() != 3) {
+        throw py::value_error("a trajectory's bar must be (displacement, velocity), and the reactions' where asked for");
+    }
+    const auto part = [&](std::size_t i) { return t[i].is_none() ? std::vector<T>{} : to_vector<T>(t[i].template cast<Array<T>>()); };
+    const bool reacting = t.size() == 3 && !t[2].is_none();
+    return {part(0), part(1), reacting ? to_vector<double>(t[2].template cast<Array<double>>()) : std::vector<double>{}};
+}
+
+template <class T>
 void bind(py::module_& m, const char* name) {
     using Model = TotalLagrangian<T>;
     py::class_<Model, std::shared_ptr<Model>>(m, name)
@@ -154,7 +164,32 @@ void bind(py::module_& m, const char* name) {
              },
              py::arg("fields"), py::arg("schedule"), py::arg("displacement_bar"), py::arg("velocity_bar"),
              py::arg("progress") = py::none(), py::arg("hook") = py::none(), py::arg("observer") = py::none(),
-             py::arg("reaction_bar") = py::none());
+             py::arg("reaction_bar") = py::none())
+        .def("gradient",
+             [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::function& loss, const py::object& progress,
+                const py::object& hook, const py::object& observer) {
+                 const Fields<T> f = to_fields<T>(fields);
+                 const Schedule s = to_schedule(schedule);
+                 const PointHook<T> h = to_hook<T>(hook);
+                 const std::optional<Observer> o = to_observer(observer);
+                 const auto call = [&](const Trajectory<T>& t) {
+                     py::gil_scoped_acquire acquire;
+                     Trajectory<T> copy = t;
+                     return to_trajectory_bar<T>(py::tuple(loss(*trajectory_arrays(std::move(copy), self.node_count()))));
+                 };
+                 Fields<T> g;
+                 long recomputed = 0;
+                 {
+                     const Progress p = to_progress(progress);
+                     py::gil_scoped_release release;
+                     g = self.gradient(f, s, call, p, &recomputed, hook.is_none() ? nullptr : &h, o ? &*o : nullptr);
+                 }
+                 return py::make_tuple(fields_dict(std::move(g)), recomputed);
+             },
+             py::arg("fields"), py::arg("schedule"), py::arg("loss"), py::arg("progress") = py::none(), py::arg("hook") = py::none(),
+             py::arg("observer") = py::none(),
+             "loss(displacement, velocity), and the reactions where they are asked for, returns its derivatives by each, None where "
+             "absent; one forward run less than simulate and adjoint.");
 }
 
 }  // namespace

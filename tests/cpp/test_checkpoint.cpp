@@ -37,7 +37,12 @@ Count sweep(int steps, std::size_t budget) {
         ++count.computed;
     };
     const long reported = reverse_all(
-        steps, state_bytes, record_bytes, budget, keep, [&](const Kept& k) { state = k.state; }, step,
+        steps, state_bytes, record_bytes, budget, keep, 
+        [&](const Kept& k) {
+            EXPECT_LT(next, steps - 1) << "restored in the first sweep";
+            state = k.state;
+        },
+        step,
         [&](int n) {
             const Kept record = keep();
             step(n);

@@ -47,25 +47,33 @@ Trajectory<T> TotalLagrangian<T>::simulate(const Fields<T>& fields, const Schedu
     return std::move(result[0]);
 }
 
+namespace {
+
+template <class T>
+Fields<T> gradient_of(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule, const typename TotalLagrangian<T>::Loss& loss,
+                      bool keep, const Progress& progress, long* recomputed, const PointHook<T>* hook, const Observer* observer) {
+    model.check(fields, schedule, observer);
+    Fields<T> result;
+    Team::run(model.settings().threads, [&](Team& team) {
+        TotalLagrangianReverse<T> reverse(model, fields, schedule, hook, observer, team);
+        result = reverse.gradient(loss, keep, progress, recomputed);
+    });
+    return result;
+}
+
+}  // namespace
+
 template <class T>
 Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>& fields, const Schedule& schedule, const Trajectory<T>& bar,
                                       const Progress& progress, long* recomputed, const PointHook<T>* hook,
                                       const Observer* observer) const {
-    check(fields, schedule, observer);
-    const std::size_t wanted = (schedule.steps.size() + 1) * 3 * node_count();
-    if ((!bar.displacement.empty() && bar.displacement.size() != wanted) || (!bar.velocity.empty() && bar.velocity.size() != wanted)) {
-        throw std::invalid_argument("the bar of the trajectory must be (frames + 1, nodes, 3)");
-    }
-    const std::size_t reacting = schedule.reaction_weight.empty() ? 0 : (schedule.steps.size() + 1) * wrench_size * static_cast<std::size_t>(geometry_.hold_count);
-    if (!bar.reaction.empty() && bar.reaction.size() != reacting) {
-        throw std::invalid_argument("the bar of the reactions must be (frames + 1, holds, 6), and the schedule ask for them");
-    }
-    Fields<T> result;
-    Team::run(settings_.threads, [&](Team& team) {
-        TotalLagrangianReverse<T> reverse(*this, fields, schedule, bar, hook, observer, team);
-        result = reverse.gradient(progress, recomputed);
-    });
-    return result;
+    return gradient_of<T>(*this, fields, schedule, [&](const Trajectory<T>&) { return bar; }, false, progress, recomputed, hook, observer);
+}
+
+template <class T>
+Fields<T> TotalLagrangian<T>::gradient(const Fields<T>& fields, const Schedule& schedule, const Loss& loss, const Progress& progress,
+                                       long* recomputed, const PointHook<T>* hook, const Observer* observer) const {
+    return gradient_of<T>(*this, fields, schedule, loss, true, progress, recomputed, hook, observer);
 }
 
 template <class T>
@@ -101,6 +109,8 @@ std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>& fields) const {
                                                          const Observer*) const; \
     template Fields<T> TotalLagrangian<T>::adjoint(const Fields<T>&, const Schedule&, const Trajectory<T>&, const Progress&, long*, \
                                                    const PointHook<T>*, const Observer*) const; \
+    template Fields<T> TotalLagrangian<T>::gradient(const Fields<T>&, const Schedule&, const Loss&, const Progress&, long*, \
+                                                    const PointHook<T>*, const Observer*) const; \
     template std::vector<T> TotalLagrangian<T>::rest_forces(const Fields<T>&) const;
 MPHYGS_INSTANTIATE(float)
 MPHYGS_INSTANTIATE(double)

@@ -31,7 +31,6 @@ from mphygs.fit.run import TRAINED, Run, capture_digest
 from mphygs.model.belief import Belief
 from mphygs.simulate.batches import Owned
 from mphygs.simulate.body import Body
-from mphygs.simulate.measurement import before_measurement
 from mphygs.simulate.prediction import Maker
 from mphygs.simulate.prediction_gradient import field_slopes
 from mphygs.simulate.settings import Settings
@@ -120,8 +119,7 @@ class FieldPredictor(Simulated):
         """Derivative of a loss by the logarithm of E at the points, (N,), and by the velocity of the carriers
         at the start, (n, 3), for that by the markers' positions (T, M, 3)."""
         timeline = self.timeline(belief, last, self.stable_substep(belief))
-        seen = before_measurement(belief, timeline.frames / self.recording.fps, bar)
-        bars, fields, _ = field_slopes(self, belief, timeline, None, seen)
+        bars, fields, _ = field_slopes(self, belief, timeline, None, lambda _: [bar])
         by_field = sum(bars[k].ravel() * np.asarray(fields[k], float).ravel() for k in ("mu", "lambda"))
         return by_field, np.asarray(bars["velocity0"], float).reshape(-1, 3)
 

@@ -33,7 +33,6 @@ from mphygs.fit.run import Run
 from mphygs.model.belief import Belief
 from mphygs.simulate.batches import Owned
 from mphygs.simulate.fields import core_inputs
-from mphygs.simulate.measurement import before_measurement
 from mphygs.simulate.prediction import Maker, Predictor
 from mphygs.simulate.prediction_gradient import field_slopes
 from mphygs.simulate.scope import belief_of_sequence
@@ -96,8 +95,7 @@ class LawsPredictor(Simulated):
 
     def slopes(self, belief: Belief, last: int, bar: np.ndarray) -> Values:
         timeline = self.timeline(belief, last, self.stable_substep(belief))
-        seen = before_measurement(belief, timeline.frames / self.recording.fps, bar)
-        bars, _, hook = field_slopes(self, belief, timeline, None, seen)
+        bars, _, hook = field_slopes(self, belief, timeline, None, lambda _: [bar])
         by_core = np.zeros((len(self.centres), 2))
         np.add.at(by_core, self.group, core_bar(bars, *self._usual(belief)))
         return slopes_of(self.strengths, np.hstack([by_core, hook.bar]))

@@ -272,7 +272,7 @@ def fit_to_pictures_by_adam(
 
             def slope(position: np.ndarray, name: str = name, one: Watched = one, share: float = share):
                 nonlocal total
-                bar = np.zeros_like(position)
+                total, bar = 0.0, np.zeros_like(position)
                 for t in one.fitted:
                     points = torch.from_numpy(position[t].copy()).requires_grad_()
                     loss = _frame_loss(pictured, name, one, points, t, weights)

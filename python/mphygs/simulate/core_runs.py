@@ -102,3 +102,22 @@ def run_core_adjoint(
     displacement, velocity, *reaction = (empty if bar is None else bar for bar in bars)
     given = (displacement, velocity, None, hook, _given(observer), *reaction)
     return model.adjoint(fields, schedule, *given)[0]
+
+
+def run_core_gradient(
+    model: object,
+    fields: Arrays,
+    schedule: Mapping,
+    loss: Callable[..., tuple[np.ndarray | None, ...]],
+    hook: object | None = None,
+    observer: Observer | None = None,
+) -> dict[str, np.ndarray]:
+    """Gradient by every field of a loss whose derivatives `loss` says once it is given the trajectory, array
+    by array: one forward run less than that run and its adjoint.
+
+    Raises SimulationError where the run is unstable, and what `loss` raises.
+    """
+    if is_mls(model):
+        _plain(hook)
+        return model.gradient(fields, schedule, loss, None, _given(observer))[0]
+    return model.gradient(fields, schedule, loss, None, hook, _given(observer))[0]

@@ -20,7 +20,7 @@ from mphygs.simulate.marker_carriers import Carriers
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.particle_body import ParticleBody
 from mphygs.simulate.pull_distribution import on_particles
-from mphygs.simulate.transfer import Start, Transfer
+from mphygs.simulate.transfer import Loss, Start, Transfer
 
 # Particles that carry one marker together: about those within 0.85 of a spacing.
 NEIGHBOURS = 20
@@ -210,19 +210,14 @@ class MaterialPoints(Transfer):
         )
         return [self._displaced(value), *slopes]
 
-    def adjoint(
-        self,
-        model: object,
-        fields: Arrays,
-        schedule: dict,
-        bars: tuple[np.ndarray, ...],
-        hook: object | None,
-        observer: Observer | None = None,
+    def gradient(
+        self, model: object, fields: Arrays, schedule: dict, loss: Loss, hook: object | None
     ) -> dict[str, np.ndarray]:
-        displacement, velocity, *reaction = bars
-        return core_runs.run_core_adjoint(
-            model, fields, schedule, (displacement, velocity, None, *reaction), hook, observer
-        )
+        def bars(*trajectory: np.ndarray) -> tuple[np.ndarray | None, ...]:
+            displacement, velocity, *reaction = loss(self._displaced(trajectory))
+            return displacement, velocity, None, *reaction
+
+        return core_runs.run_core_gradient(model, fields, schedule, bars, hook)
 
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
         free = LANES * self.body.free_block_count

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from threading import Event
@@ -92,8 +92,7 @@ class Predictor(SequenceModel):
         Raises SimulationError where the run is unstable, ValueError for an effect that the transfer cannot
         have, Halted where a twin is told to.
         """
-        if self._halt is not None and self._halt.is_set():
-            raise Halted(self.recording.name)
+        self.stop_if_halted()
         last = self.recording.frames if last is None else last
         whole = start is None and not candidates
         feedback = None if feedback is None or feedback.gain == 0.0 else feedback
@@ -101,9 +100,7 @@ class Predictor(SequenceModel):
         if known is not None:
             return known
         dt = substep or self.stable_substep(belief)
-        # Instruments are told by the frames to both sides.
-        end = min(last + 1, self.recording.frames) if self.instruments else last
-        timeline = self.timeline(belief, end, dt, start)
+        timeline = self.timeline(belief, self.end(last), dt, start)
         wanted = [(belief, belief[key]) for key in keys] + list(candidates)
         slots = [
             k
@@ -115,12 +112,52 @@ class Predictor(SequenceModel):
         ]
         moving = [wanted[k] for k in slots]
         states, tangents, timeline = self._runs(belief, moving, timeline, start, progress, feedback)
+        told = dict(zip(slots, tangents, strict=True))
+        prediction = self.observed(belief, states, timeline, wanted, told, dt, start, feedback).until(last)
+        if whole:
+            self.keep(belief, last, substep, prediction, feedback)
+        return prediction
+
+    def stop_if_halted(self) -> None:
+        """Raises Halted where a twin is told to stop."""
+        if self._halt is not None and self._halt.is_set():
+            raise Halted(self.recording.name)
+
+    def end(self, last: int) -> int:
+        """Frames that a run of frames 0..last-1 takes: instruments are told by the frames to both sides."""
+        return min(last + 1, self.recording.frames) if self.instruments else last
+
+    def keep(
+        self,
+        belief: Belief,
+        last: int,
+        substep: float | None,
+        prediction: Prediction,
+        feedback: Feedback | None = None,
+    ) -> None:
+        """Keep a prediction of a whole sequence, for the next that asks for the same."""
+        kept = self._kept if prediction.keys else self._plain
+        kept[:] = [*kept[1 - KEPT :], (belief, last, substep, feedback, prediction)]
+
+    def observed(
+        self,
+        belief: Belief,
+        states: tuple,
+        timeline: Timeline,
+        wanted: Sequence[Owned],
+        tangents: Mapping[int, tuple],
+        dt: float,
+        start: Start | None,
+        feedback: Feedback | None = None,
+    ) -> Prediction:
+        """The prediction that the states of a run are. tangents: of these, by the place among those wanted of
+        the parameters that act in the simulation; dt: the substep that was asked for [s]."""
         position, velocity = self.carriers.observe(states, timeline, self.recording)
         jacobian = np.zeros((*position.shape, len(wanted)))
-        for slot, tangent in zip(slots, tangents, strict=True):
+        for slot, tangent in tangents.items():
             jacobian[..., slot] = self.carriers.observe_tangent(states, tangent, timeline)
-        told = dict(zip(slots, tangents, strict=True))
-        readings = readings_of(self.instruments, belief, states, timeline, wanted, told)
+        readings = readings_of(self.instruments, belief, states, timeline, wanted, tangents)
+        end = int(timeline.frames[-1]) + 1
         begins = start is None and start_numbers(belief, self.recording.name) is not None
         for slot, (owner, parameter) in enumerate(wanted):
             if parameter.key == f"{self.recording.name}.release_shift" and start is None:
@@ -137,7 +174,7 @@ class Predictor(SequenceModel):
             belief, wanted, times, position, velocity, jacobian
         )
         names = tuple(p.key for _, p in wanted)
-        prediction = Prediction(
+        return Prediction(
             timeline.frames,
             position,
             velocity,
@@ -146,11 +183,7 @@ class Predictor(SequenceModel):
             timeline.substeps,
             timeline.longest,
             readings,
-        ).until(last)
-        if whole:
-            kept = self._kept if names else self._plain
-            kept[:] = [*kept[1 - KEPT :], (belief, last, substep, feedback, prediction)]
-        return prediction
+        )
 
     def _known(
         self,

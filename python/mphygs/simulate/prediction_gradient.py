@@ -35,31 +35,43 @@ def predict_with_gradient(
     loss_slope: derivative of the loss by the marker positions, (T, M, 3) -> (T, M, 3); start: a state in
     mid-motion, given and not differentiated, whose frame is then the first; reading_slopes: derivatives by
     what the instruments read, (T, V, 3) each, of a loss that has them. The cost is one checkpointed
-    adjoint run, whatever the number of keys. Raises SimulationError where the run is unstable.
+    adjoint run, which is the prediction's as well, whatever the number of keys. Raises SimulationError where
+    the run is unstable.
     """
     substep = substep or predictor.stable_substep(belief)
     simulated = [key for key in keys if acts_in_simulation(belief[key])]
     others = [key for key in keys if key not in simulated]
-    prediction = predictor.predict(belief, last=last, keys=others, substep=substep, start=start)
-    bar = loss_slope(prediction.position)
-    read = [reading.value for reading in prediction.readings]
-    reading_bars = list(reading_slopes(read)) if reading_slopes else [np.zeros_like(value) for value in read]
-    direct = np.einsum("tmc,tmck->k", bar, prediction.jacobian)
-    for own, reading in zip(reading_bars, prediction.readings, strict=True):
-        direct = direct + np.einsum("tvc,tvck->k", own, reading.jacobian)
-    gradient = dict(zip(others, direct, strict=True))
+
+    def bars_of(found: Prediction) -> list[np.ndarray]:
+        read = [reading.value for reading in found.readings]
+        none = [np.zeros_like(value) for value in read]
+        return [loss_slope(found.position), *(reading_slopes(read) if reading_slopes else none)]
+
+    def through(timeline: Timeline) -> tuple[list[float], Prediction, list[np.ndarray]]:
+        found, bars = (), []
+
+        def loss(states: tuple) -> list[np.ndarray]:
+            nonlocal found, bars
+            found = states
+            bars = bars_of(predictor.observed(belief, states, timeline, [], {}, substep, start).until(last))
+            return [_longer(own, len(timeline.frames)) for own in bars]
+
+        slopes = _through_simulation(predictor, belief, simulated, timeline, start, loss)
+        wanted = [(belief, belief[key]) for key in others]
+        prediction = predictor.observed(belief, found, timeline, wanted, {}, substep, start).until(last)
+        return slopes, prediction, bars
+
     if simulated:
-        # As the prediction is: instruments are told by the frames to both sides.
-        end = min(last + 1, predictor.recording.frames) if predictor.instruments else last
-        timeline = predictor.timeline(belief, end, substep, start)
-        times = timeline.frames / predictor.recording.fps
-        bar, *reading_bars = (_longer(own, len(times)) for own in (bar, *reading_bars))
-        seen = before_measurement(belief, times, bar)
-        slopes, _ = in_steps_that_do(
-            timeline,
-            lambda one: _through_simulation(predictor, belief, simulated, one, start, seen, reading_bars),
-        )
-        gradient.update(zip(simulated, slopes, strict=True))
+        predictor.stop_if_halted()
+        timeline = predictor.timeline(belief, predictor.end(last), substep, start)
+        (slopes, prediction, bars), _ = in_steps_that_do(timeline, through)
+    else:
+        prediction = predictor.predict(belief, last=last, keys=others, substep=substep, start=start)
+        slopes, bars = [], bars_of(prediction)
+    direct = np.einsum("tmc,tmck->k", bars[0], prediction.jacobian)
+    for own, reading in zip(bars[1:], prediction.readings, strict=True):
+        direct = direct + np.einsum("tvc,tvck->k", own, reading.jacobian)
+    gradient = dict(zip([*simulated, *others], [*slopes, *direct], strict=True))
     return prediction, np.array([gradient[key] for key in keys])
 
 
@@ -69,11 +81,17 @@ def _through_simulation(
     keys: Sequence[str],
     timeline: Timeline,
     start: Start | None,
-    position_bar: np.ndarray,
-    reading_bars: Sequence[np.ndarray],
+    loss: Callable[[tuple], Sequence[np.ndarray]],
 ) -> list[float]:
     """Inner product of the adjoint's bars of all fields with each parameter's change of them."""
-    bars, _, hook = field_slopes(predictor, belief, timeline, start, position_bar, reading_bars)
+    reading_bars: Sequence[np.ndarray] = ()
+
+    def told(states: tuple) -> Sequence[np.ndarray]:
+        nonlocal reading_bars
+        position, *reading_bars = loss(states)
+        return [position, *reading_bars]
+
+    bars, _, hook = field_slopes(predictor, belief, timeline, start, told)
     slopes = []
     parameters = [belief[key] for key in keys]
     changes = predictor.changes(belief, [(belief, p) for p in parameters], timeline, start)
@@ -94,32 +112,33 @@ def field_slopes(
     belief: Belief,
     timeline: Timeline,
     start: Start | None,
-    position_bar: np.ndarray,
-    reading_bars: Sequence[np.ndarray] = (),
+    loss: Callable[[tuple], Sequence[np.ndarray]],
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], UserForces | None]:
     """Gradient of a loss by every field of the core, these fields, and the hook of effects in Python.
 
-    position_bar: derivative of the loss by the markers' positions in the simulation, (T, M, 3); reading_bars:
-    by what each instrument reads, of a loss that has them.
+    loss: of the states of the run, the loss's derivatives by the markers' positions as they are measured,
+    (T, M, 3), and, of a loss that has them, by what each instrument reads. One run forward and one back.
     """
     transfer, carriers = predictor.transfer, predictor.carriers
     model = predictor.model_of(belief)
     fields = predictor.inputs(belief, timeline, start)
     hook = predictor._hook(belief, fields)
     transfer.share(model, predictor.workers)
-    run = (model, fields, predictor.schedule(timeline))
-    # A marker that turns needs the motion itself: the derivative of its rotation depends on it.
-    states = transfer.simulate(*run, None, hook) if carriers.turning.any() else None
     count = len(transfer.places_at_rest())
-    carried = carriers.observe_adjoint(states, timeline, position_bar, np.zeros_like(position_bar), count)
-    carried = [*carried]
-    for instrument, own in zip(predictor.instruments, reading_bars, strict=bool(reading_bars)):
-        for k, part in enumerate(instrument.observe_adjoint(timeline, own, count)):
-            if part is not None and k < len(carried):
-                carried[k] = carried[k] + part
-            elif part is not None:
-                carried.append(part)
-    return transfer.adjoint(*run, tuple(carried), hook), fields, hook
+
+    def bars(states: tuple) -> tuple[np.ndarray | None, ...]:
+        position_bar, *reading_bars = loss(states)
+        seen = before_measurement(belief, timeline.frames / predictor.recording.fps, position_bar)
+        carried = [*carriers.observe_adjoint(states, timeline, seen, np.zeros_like(seen), count)]
+        for instrument, own in zip(predictor.instruments, reading_bars, strict=bool(reading_bars)):
+            for k, part in enumerate(instrument.observe_adjoint(timeline, own, count)):
+                if part is not None and k < len(carried):
+                    carried[k] = carried[k] + part
+                elif part is not None:
+                    carried.append(part)
+        return tuple(carried)
+
+    return transfer.gradient(model, fields, predictor.schedule(timeline), bars, hook), fields, hook
 
 
 def _longer(bar: np.ndarray, frames: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from mphygs.simulate.core_runs import Apart, Arrays, Progress
 from mphygs.simulate.marker_carriers import Carriers
 from mphygs.simulate.observer import Observer
 from mphygs.simulate.pull_distribution import on_nodes
-from mphygs.simulate.transfer import Carried, Start, Transfer
+from mphygs.simulate.transfer import Carried, Loss, Start, Transfer
 
 _NOWHERE = np.zeros((0, 3))
 
@@ -180,16 +180,10 @@ class TotalLagrangian(Transfer):
             model, fields, directions, schedule, progress, hook, apart, observer
         )
 
-    def adjoint(
-        self,
-        model: object,
-        fields: Arrays,
-        schedule: dict,
-        bars: tuple[np.ndarray, ...],
-        hook: object | None,
-        observer: Observer | None = None,
+    def gradient(
+        self, model: object, fields: Arrays, schedule: dict, loss: Loss, hook: object | None
     ) -> dict[str, np.ndarray]:
-        return core_runs.run_core_adjoint(model, fields, schedule, bars, hook, observer)
+        return core_runs.run_core_gradient(model, fields, schedule, lambda *states: loss(states), hook)
 
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:
         q = self.body.quadrature

@@ -22,6 +22,10 @@ from mphygs.simulate.settings import Settings
 # Places (K, 3) [m] and velocities [m/s] of points (K, 3) that hold number h carries.
 Carried = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
+# Of the states that `simulate` gives, the bars: of the carriers' displacement and velocity, (S, N, 3), and,
+# where the schedule asks for them, of the reactions, (S, H, 6).
+Loss = Callable[[tuple], tuple[np.ndarray | None, ...]]
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -184,17 +188,11 @@ class Transfer(ABC):
         has; where `keeps_apart` is not set there are none."""
 
     @abstractmethod
-    def adjoint(
-        self,
-        model: object,
-        fields: Arrays,
-        schedule: dict,
-        bars: tuple[np.ndarray, ...],
-        hook: object | None,
-        observer: Observer | None = None,
+    def gradient(
+        self, model: object, fields: Arrays, schedule: dict, loss: Loss, hook: object | None
     ) -> dict[str, np.ndarray]:
-        """Bars of all fields for those of the carriers' displacement and velocity, (S, N, 3), and, where the
-        schedule asks for them, of the reactions, (S, H, 6)."""
+        """Bars of all fields for those that `loss` says of the states, which it is given once the run is
+        through. Raises SimulationError where it is unstable, and what `loss` raises."""
 
     @abstractmethod
     def deformation(self, states: tuple, belief: Belief) -> np.ndarray:

@@ -14,19 +14,29 @@ class MlsMpmReverse : public MlsStepReverse<T> {
     using Loss = typename MlsMpm<T>::Loss;
     using Steps::Steps;
 
-    /// loss is called once, with the whole trajectory where `keep` asks for it.
+    /// loss is called once, with the whole trajectory where `keep` asks for it; progress then is told of the run forward too.
     Fields<T> gradient(const Loss& loss, bool keep, const Progress& progress, long* recomputed) {
         const int steps = table_.count();
         keep_ = keep;
-        keep_frame(0);
+        if (keep_) {
+            keep_frame(0);
+        }
         run_.begin();
         bar_order_ = run_.state_.order;
         const std::size_t particles = (run_.state_.moving.size() + run_.state_.history.size()) * sizeof(T);
         const std::size_t bytes = particles + run_.state_.grid.size() * 2 * sizeof(T);  // a box may grow
+        bool first = true;
+        const auto tell = [&](int frame) {
+            if (progress && !progress(frame)) {
+                throw SimulationError("interrupted");
+            }
+        };
         const auto advance = [&](int n, MlsState<T>* record) {
             run_.step(n, record);
-            if (table_.is_frame(n + 1)) {
-                keep_frame(table_.frame_of_state(n + 1));
+            if (first && keep_ && table_.is_frame(n + 1)) {
+                const int frame = table_.frame_of_state(n + 1);
+                keep_frame(frame);
+                tell(frame);
             }
         };
         const auto forward = [&](int n) { advance(n, nullptr); };
@@ -37,14 +47,13 @@ class MlsMpmReverse : public MlsStepReverse<T> {
             advance(n, &s);
             return s;
         };
-        bool first = true;
         const auto backward = [&](int n, MlsState<T>& record) {
             if (first) {
                 take_loss(loss);
                 first = false;
             }
-            if (table_.is_frame(n + 1) && progress && !progress(table_.frame_of_state(n + 1))) {
-                throw SimulationError("interrupted");
+            if (table_.is_frame(n + 1)) {
+                tell(table_.frame_of_state(n + 1));
             }
             reverse_step(n, record);
             if (n == 0) {
@@ -67,19 +76,18 @@ class MlsMpmReverse : public MlsStepReverse<T> {
   private:
 
     void keep_frame(int frame) {
-        if (!keep_ || frame < kept_) {
-            return;
-        }
         const std::size_t count = model_.particle_count(), at = static_cast<std::size_t>(frame);
         trajectory_.position.resize((at + 1) * 3 * count);
         trajectory_.velocity.resize((at + 1) * 3 * count);
         trajectory_.deformation.resize((at + 1) * 9 * count);
         run_.output(0, &trajectory_.position[at * 3 * count], &trajectory_.velocity[at * 3 * count],
                     &trajectory_.deformation[at * 9 * count]);
-        kept_ = frame + 1;
     }
 
     void take_loss(const Loss& loss) {
+        if (keep_) {
+            trajectory_.reaction = run_.reaction(0);
+        }
         bar_ = loss(trajectory_);
         const std::size_t count = model_.particle_count();
         const std::size_t frames = static_cast<std::size_t>(table_.frame_of_state(table_.count())) + 1;
@@ -170,7 +178,6 @@ class MlsMpmReverse : public MlsStepReverse<T> {
 
     ParticleTrajectory<T> trajectory_;
     bool keep_ = false;
-    int kept_ = 0;
     std::vector<T> v_bar_, c_bar_;  // (3 or 9, size)
 };
 

@@ -12,7 +12,8 @@
 namespace mphygs {
 
 /// Calls `backward(n, record)` for n = steps-1 .. 0 with the record of step n. The simulation
-/// stands at step 0 when called. Returns the number of forward steps computed.
+/// stands at step 0 when called. Returns the number of forward steps computed; before the first call of `backward` each
+/// is computed once, in order, and nothing is restored.
 template <class Save, class Restore, class Forward, class ForwardRecorded, class Backward>
 long reverse_all(int steps, std::size_t state_bytes, std::size_t record_bytes, std::size_t budget, Save&& save,
                  Restore&& restore, Forward&& forward, ForwardRecorded&& forward_recorded, Backward&& backward) {
@@ -44,17 +45,18 @@ long reverse_all(int steps, std::size_t state_bytes, std::size_t record_bytes, s
         for (int p = 0; p <= pieces; ++p) {
             bounds.push_back(begin + static_cast<int>((static_cast<long>(end - begin) * p) / pieces));
         }
-        starts.push_back(save());
         for (int p = 0; p + 1 < pieces; ++p) {
+            starts.push_back(save());
             for (int n = bounds[static_cast<std::size_t>(p)]; n < bounds[static_cast<std::size_t>(p) + 1]; ++n) {
                 forward(n);
                 ++computed;
             }
-            starts.push_back(save());
         }
         for (int p = pieces - 1; p >= 0; --p) {
-            restore(starts[static_cast<std::size_t>(p)]);
-            starts.pop_back();
+            if (p + 1 < pieces) {
+                restore(starts[static_cast<std::size_t>(p)]);
+                starts.pop_back();
+            }
             self(self, bounds[static_cast<std::size_t>(p)], bounds[static_cast<std::size_t>(p) + 1],
                  std::max(0, free_slots - static_cast<int>(starts.size())));
         }

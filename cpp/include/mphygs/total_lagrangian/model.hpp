@@ -86,6 +86,11 @@ class TotalLagrangian {
                       const Progress& progress = {}, long* recomputed = nullptr, const PointHook<T>* hook = nullptr,
                       const Observer* observer = nullptr) const;
 
+    /// The same where the loss is only known once the trajectory is: one forward run less. progress: of this run too.
+    using Loss = std::function<Trajectory<T>(const Trajectory<T>&)>;
+    Fields<T> gradient(const Fields<T>& fields, const Schedule& schedule, const Loss& loss, const Progress& progress = {},
+                       long* recomputed = nullptr, const PointHook<T>* hook = nullptr, const Observer* observer = nullptr) const;
+
     /// Forces at rest of the effects that act on the surface and at places (wind, tether), and the
     /// body effects times the node mass, (N, 3) [N]: what a rest shape in equilibrium carries
     /// besides m g.

@@ -3,6 +3,7 @@
 
 #include "mphygs/numerics/checkpoint.hpp"
 #include "mphygs/total_lagrangian/hook_reverse.hpp"
+#include "mphygs/total_lagrangian/rollout.hpp"
 
 namespace mphygs {
 
@@ -10,6 +11,7 @@ template <class T>
 class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
   public:
     using Forces = TotalLagrangianForcesReverse<T>;
+    using Loss = typename TotalLagrangian<T>::Loss;
 
     /// What one substep leaves behind for its reversal.
     struct Record {
@@ -25,8 +27,8 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     };
 
     TotalLagrangianReverse(const TotalLagrangian<T>& model, const Fields<T>& fields, const Schedule& schedule,
-                           const Trajectory<T>& bar, const PointHook<T>* hook, const Observer* observer, Team& team)
-        : Forces(model, fields, schedule, hook, observer, team), schedule_(schedule), bar_(bar) {
+                           const PointHook<T>* hook, const Observer* observer, Team& team)
+        : Forces(model, fields, schedule, hook, observer, team), schedule_(schedule) {
         double time = schedule.start;
         for (int f = 0; f < schedule.frame_count(); ++f) {
             for (int s = 0; s < schedule.steps[static_cast<std::size_t>(f)]; ++s) {
@@ -40,7 +42,27 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         }
     }
 
-    Fields<T> gradient(const Progress& progress, long* recomputed) {
+    /// loss is called once, with the whole trajectory where `keep` asks for it; progress then is told of the run forward too.
+    Fields<T> gradient(const Loss& loss, bool keep, const Progress& progress, long* recomputed) {
+        if (keep) {
+            trajectory_ = std::move(room<T>(1, (schedule_.steps.size() + 1) * 3 * model_.node_count())[0]);
+            keep_frame(0);
+        }
+        bool taken = false;
+        const auto take_loss = [&] {
+            if (keep) {
+                trajectory_.reaction = run_.reaction(0);
+            }
+            bar_ = loss(trajectory_);
+            check_bar();
+            trajectory_ = {};
+            taken = true;
+        };
+        const auto tell = [&](int frame) {
+            if (progress && !progress(frame)) {
+                throw SimulationError("interrupted");
+            }
+        };
         const int steps = schedule_.total_steps();
         const std::size_t state_bytes = (schedule_.paired ? 4 : 2) * run_.size_ * sizeof(T) + run_.history_.size() * sizeof(Pack<T>);
         const std::size_t record_bytes =
@@ -48,7 +70,12 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         const auto forward = [&](int n) {
             run_.step(n, step_frame_[index(n)], step_time_[index(n)], step_dt_[index(n)]);
             if (n + 1 == steps || step_frame_[index(n + 1)] != step_frame_[index(n)]) {
-                stop_if_unstable(step_frame_[index(n)] + 1, step_time_[index(n)] + step_dt_[index(n)]);
+                const int frame = step_frame_[index(n)] + 1;
+                stop_if_unstable(frame, step_time_[index(n)] + step_dt_[index(n)]);
+                if (keep && !taken) {
+                    keep_frame(frame);
+                    tell(frame);
+                }
             }
         };
         const auto save = [&] {
@@ -84,12 +111,13 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
             return r;
         };
         const auto backward = [&](int n, const Record& r) {
+            if (!taken) {
+                take_loss();
+            }
             if (n + 1 == steps || step_frame_[index(n + 1)] != step_frame_[index(n)]) {
                 const int frame = step_frame_[index(n)] + 1;
                 add_bar(frame);
-                if (progress && !progress(frame)) {
-                    throw SimulationError("interrupted");
-                }
+                tell(frame);
             }
             restore(r);
             reverse_step(n, r);
@@ -99,11 +127,29 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
         if (recomputed) {
             *recomputed = computed - steps;
         }
+        if (!taken) {
+            take_loss();
+        }
         add_bar(0);
         return collect();
     }
 
   private:
+    void keep_frame(int frame) {
+        const std::size_t at = index(frame) * 3 * model_.node_count();
+        run_.output(0, &trajectory_.displacement[at], &trajectory_.velocity[at]);
+    }
+
+    void check_bar() const {
+        const std::size_t frames = schedule_.steps.size() + 1, wanted = frames * 3 * model_.node_count();
+        if ((!bar_.displacement.empty() && bar_.displacement.size() != wanted) || (!bar_.velocity.empty() && bar_.velocity.size() != wanted)) {
+            throw std::invalid_argument("the bar of the trajectory must be (frames + 1, nodes, 3)");
+        }
+        const std::size_t reacting = schedule_.reaction_weight.empty() ? 0 : frames * wrench_size * static_cast<std::size_t>(model_.geometry_.hold_count);
+        if (!bar_.reaction.empty() && bar_.reaction.size() != reacting) {
+            throw std::invalid_argument("the bar of the reactions must be (frames + 1, holds, 6), and the schedule ask for them");
+        }
+    }
 
     void stop_if_unstable(int frame, double time) {
         if (!run_.finite()) {
@@ -240,7 +286,7 @@ class TotalLagrangianReverse : public TotalLagrangianForcesReverse<T> {
     std::vector<double> place_mass_bar_;      // of what nodes share of places' masses
     std::vector<T> past_u_bar_, past_v_bar_;  // of the state at the start of the pair that is being reversed
     const Schedule& schedule_;
-    const Trajectory<T>& bar_;
+    Trajectory<T> trajectory_, bar_;
     std::vector<double> step_time_, step_dt_;
     std::vector<int> step_frame_;
     bool pulled_ = false;                    // in the present substep
