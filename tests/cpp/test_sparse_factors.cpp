@@ -102,6 +102,27 @@ TEST(SparseFactors, SolveAsDenseOnesDoInBothDirections) {
     }
 }
 
+TEST(SparseFactors, GiveTheSameBitsWhereverTheyStand) {
+    const VertexGraph g = branched(3, 12, 7);
+    const std::vector<std::vector<int>> vertices = unknowns_of(g);
+    const Eigen::SparseMatrix<double> matrix = matrix_on(g, vertices, 6);
+    const Eigen::VectorXd right = random_columns(matrix.rows(), 1, 7);
+    std::vector<std::vector<char>> between;
+    Eigen::VectorXd forward, back;
+    for (std::size_t k = 0; k < 24; ++k) {
+        between.emplace_back(24 + 16 * (k % 5) + 5000 * (k % 3));
+        SparseFactors factors;
+        factors.analyse(matrix, vertices);
+        ASSERT_TRUE(factors.factorise(matrix));
+        const Eigen::VectorXd x = factors.solve(right), y = factors.solve_transposed(right);
+        if (k > 0) {
+            EXPECT_TRUE((x.array() == forward.array()).all() && (y.array() == back.array()).all()) << k;
+        }
+        forward = x;
+        back = y;
+    }
+}
+
 TEST(SparseFactors, RowsThatComeLastFollowWhatTheyTie) {
     VertexGraph g = branched(4, 8, 3);
     const int nodes = g.count(), tips[4] = {15, 23, 31, 39};

@@ -155,8 +155,8 @@ void SparseFactors::analyse(const Eigen::SparseMatrix<double>& matrix, const std
 }
 
 bool SparseFactors::factorise(const Eigen::SparseMatrix<double>& matrix) {
-    factors_.resize(size_);
-    room_.resize(left_ + widest_);
+    factors_.resize(static_cast<Eigen::Index>(size_));
+    room_.resize(static_cast<Eigen::Index>(left_ + widest_));
     for (const Front& front : fronts_) {
         Parts parts(front, factors_);
         const Eigen::Index p = parts.p, b = parts.b;

@@ -56,7 +56,7 @@ class SparseFactors {
     std::vector<Run> entry_;                  // front by front: from the matrix's values to the front's factors
     std::vector<int> exchanged_;              // front by front: row of the pivots that is taken k-th
     std::size_t size_ = 0, left_ = 0, widest_ = 0;  // of the factors; of the room for what fronts leave, and for the largest F12
-    std::vector<double> factors_, room_;
+    Eigen::VectorXd factors_, room_;  // aligned always alike: sums are in an order that depends on it
     double work_ = 0;
 };
 
