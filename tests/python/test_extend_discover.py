@@ -619,9 +619,12 @@ def test_rivals_are_compared_on_the_grid_of_the_best(monkeypatch: pytest.MonkeyP
     assert (found.added, found.ties, found.spacing) == (("viscosity",), ("fibre",), fine)
     # One that cannot be simulated there is no rival.
     assert kept(monkeypatch, best, rival, moved=None, grid=fine).ties == ()
-    # Where the best one is not explained on it, the others' work is saved.
-    far = replace(best, assessment=excess_of(3.0))
-    found = kept(monkeypatch, far, replace(rival, assessment=excess_of(3.1)), moved=moved, grid=fine)
+    # Where the best one is not explained on it, one may be that was behind on the coarse grid,
+    far, little = replace(best, assessment=excess_of(3.1)), replace(rival, assessment=excess_of(3.0))
+    assert kept(monkeypatch, little, far, moved=moved, grid=fine).added == ("fibre",)
+    # but none that is far off.
+    far, little = replace(best, assessment=excess_of(9.1)), replace(rival, assessment=excess_of(9.0))
+    found = kept(monkeypatch, little, far, moved=moved, grid=fine)
     assert (found.added, found.ties) == (("viscosity",), ())
 
 

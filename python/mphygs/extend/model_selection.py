@@ -11,7 +11,7 @@ from mphygs.extend.finer_grid import (
     fitted_by_coarse_jacobians,
     rival_on_coarse_grid,
 )
-from mphygs.extend.grids import complete, on_grid
+from mphygs.extend.grids import GROSS, complete, on_grid
 from mphygs.extend.refit import AT_FLOOR, Refit
 from mphygs.extend.required_grid import on_required_grid
 from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
@@ -35,8 +35,14 @@ def best_and_rivals(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
     ordered = sorted(refits, key=lambda r: excess(r.assessment))
     best = ordered[0]
     limit = max(RIVAL * excess(best.assessment), ALIKE_EXCESS)
-    # Where one model is at the noise, the grid has nothing of its own.
-    grids = MAY_BE_THE_GRIDS if best.assessment.worst > AT_FLOOR else EXPLAINED
+    if best.assessment.worst <= AT_FLOOR:
+        grids = EXPLAINED  # at the noise: the grid has nothing of its own
+    elif best.assessment.worst <= EXPLAINED:
+        grids = MAY_BE_THE_GRIDS
+    else:
+        # None does yet, and a wrong model may make up for a coarse grid what the right one leaves to it: each
+        # is asked that would be by itself (see `next_spacing`).
+        grids = GROSS
     near = [r for r in ordered[1:] if excess(r.assessment) < limit or r.assessment.worst <= grids]
     return best, near[:RIVALS]
 
@@ -144,7 +150,9 @@ def best_of_rivals(
     screening: see `complete`.
     """
     alike = [rival for rival in rivals if rival.spacing == best.spacing]
-    others = [rival for rival in rivals if rival.spacing != best.spacing] if best.explained else []
+    # Where the best is not explained on its finer grid, those that may be are asked there as well.
+    able = [rival for rival in rivals if best.explained or rival.assessment.worst < GROSS]
+    others = [rival for rival in able if rival.spacing != best.spacing]
     moved = side_by_side(experiment, lambda twin, rival: on_the_grid_of(twin, best, rival, report), others)
     alike += [rival for rival in moved if rival is not None]
     alike.sort(key=lambda step: excess(step.assessment))
