@@ -103,7 +103,9 @@ def test_a_fit_counts_how_far_its_grids_are_apart(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("below", [1.0, 1.02, 1.25])
 def test_a_fit_on_one_coarse_grid_asks_a_finer_one_for_its_error(below: float, tmp_path: Path) -> None:
-    """Where the coarsest grid is no coarser, or hardly. Recorded on a finer grid, E is off by many deviations of the noise, and by few of those told."""
+    """Where the coarsest grid is no coarser, or hardly.
+
+    Recorded on a finer grid, E is off by many deviations of the noise, and by few of those told."""
     shake = 0.006 * np.sin(np.linspace(0.0, 9.0, FRAMES))[:, None] * [0.2, 1.0, 0.4]
     known = Known(density={"part0": 1000.0}, poissons_ratio=0.3)
     capture = bar_capture(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mphygs.capture.format import Capture
-from mphygs.scene import spacing_worth as worth
+from mphygs.scene.spacing_worth import spacing_worth, usual_spacing
 
 # Cells of material, eight points each, that tens of gigabytes hold.
 MOST_CELLS = 2e6
@@ -15,12 +15,12 @@ FINE = 1.1
 
 def default_spacing(capture: Capture) -> float:
     """Grid spacing that gives about 250 full cells of material [m], two digits."""
-    return worth.default_spacing(capture.parts)
+    return usual_spacing(capture.parts)
 
 
 def check_spacing(capture: Capture, spacing: float, where: str) -> None:
     """Raises ValueError, beginning with `where`, for a grid of more cells than fit into memory."""
-    finest = worth.spacing_worth(capture.parts, MOST_CELLS)
+    finest = spacing_worth(capture.parts, MOST_CELLS)
     if spacing < finest:
         raise ValueError(
             f"{where}: got {spacing:g} m; expected {finest:.2g} m or more, {MOST_CELLS:.0e} cells of material"

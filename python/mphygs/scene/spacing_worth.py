@@ -14,7 +14,7 @@ from mphygs.scene.curved_quadrature import cell_count
 DEFAULT_CELLS = 250
 
 
-def default_spacing(parts: Sequence[Part]) -> float:
+def usual_spacing(parts: Sequence[Part]) -> float:
     """The spacing that gives parts about DEFAULT_CELLS full cells of material [m], two digits."""
     spacing = spacing_worth(parts, DEFAULT_CELLS)
     digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)

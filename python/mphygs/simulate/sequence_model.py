@@ -13,7 +13,7 @@ from mphygs.capture.format import Capture
 from mphygs.capture.record import Sequence as Recording
 from mphygs.capture.sensors import FORCE
 from mphygs.model.belief import Belief
-from mphygs.scene.spacing_worth import default_spacing
+from mphygs.scene.spacing_worth import usual_spacing
 from mphygs.simulate.actuation import Actuation, acts_by_channels
 from mphygs.simulate.batches import Owned
 from mphygs.simulate.body import Body, hold_boxes
@@ -95,7 +95,7 @@ class SequenceModel:
         followed."""
         every = self.capture.sequences
         own = next((s for s in every if s.name == self.recording.name), self.recording)
-        finer = default_spacing(self.capture.parts) / self.settings.spacing
+        finer = usual_spacing(self.capture.parts) / self.settings.spacing
         return steps_to_predict(own, every, paired=self.body.curved, finer=finer)
 
     # ---- models, substeps ---------------------------------------------------------------------
