@@ -162,16 +162,16 @@ def test_a_bound_is_kept() -> None:
 
 def test_a_step_into_what_cannot_be_simulated_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, start = small_fit()
-    whole = Predictor.predict
+    whole = Predictor.timeline
     refused = []
 
-    def predict(self: Predictor, belief: Belief, **options: object) -> object:
+    def timeline(self: Predictor, belief: Belief, *given: object) -> object:
         if belief["part0.youngs_modulus"].value > 4.2e4:
             refused.append(belief)
             raise SimulationError("too stiff for this test")
-        return whole(self, belief, **options)
+        return whole(self, belief, *given)
 
-    monkeypatch.setattr(Predictor, "predict", predict)
+    monkeypatch.setattr(Predictor, "timeline", timeline)
     start = start.with_parameter("part0.youngs_modulus", value=2.5e4)
     first = problem.evaluate(start).cost
     found = minimise_by_gradient(problem, start, method="lbfgs", iterations=10)
