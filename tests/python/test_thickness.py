@@ -72,7 +72,6 @@ def test_a_thicker_one_swings_and_weighs_as_its_mesh_does(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["rod", "shell"])
 def test_slopes_by_the_thickness_are_those_of_differences_and_of_the_adjoint(kind: str) -> None:
     capture = moved_capture(thin(kind), rest="equilibrium")
-    # on cells of 10 mm, in the fewest steps, the strip is at the edge of what converges: some are halved
     predictor = Predictor(capture, capture.sequence("a"), replace(SETTINGS, spacing=0.005))
     belief = belief_of(capture, 1.05)
     keys = [p.key for p in belief.free]

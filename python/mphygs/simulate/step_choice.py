@@ -9,9 +9,9 @@ import numpy as np
 
 from mphygs.capture.record import Sequence as Recording
 
-# What implicit steps have at least, on a grid of default spacing. A swing of a sixth of the frame rate
-# falls behind by 0.14 % of its period then, or half of it in pairs, each of which is one step of its rule
-# (Bathe and Baig 2005). Newton's method does not always find a step of half a frame.
+# What implicit steps have at least, on a grid of default spacing or a coarser one. A swing of a sixth of the
+# frame rate falls behind by 0.14 % of its period then, or half of it in pairs, each of which is one step of
+# its rule (Bathe and Baig 2005). Newton's method does not always find a step of half a frame.
 FEWEST = 8
 FEWEST_PAIRED = 2 * FEWEST
 # Of the noise, that the steps may be off: together they are 3 % more than the noise.
@@ -28,11 +28,13 @@ def steps_a_frame(recording: Recording, *, paired: bool = False, finer: float = 
     times that share of its size, at most counted as all of it. What swings is taken from the spectrum of the
     markers in the frames to fit, so that the steps are the same whatever a fit tries, now and when it goes
     on. A motion that is no swing, as the fall of a sheet by its own length, may be off by some times that. So
-    steps go with the grid: what changes on a finer one tells the error of both, which fall alike.
+    steps go with the grid where it is finer than the default one: what changes on such a grid tells the error
+    of both, which fall alike.
 
     paired: whether the steps are; finer: default spacing over that of the grid.
     """
-    least = max(FEWEST, ceil((FEWEST_PAIRED if paired else FEWEST) * finer - 1e-9))
+    finer = max(finer, 1.0)
+    least = ceil((FEWEST_PAIRED if paired else FEWEST) * finer - 1e-9)
     first = recording.release or 0
     swings = None if recording.markers is None else _spectrum(recording, max(first, recording.fit[0]))
     if swings is None:
@@ -44,7 +46,7 @@ def steps_a_frame(recording: Recording, *, paired: bool = False, finer: float = 
     while True:
         late = delay * rate**3 * span / (np.sqrt(3.0) * (steps * recording.fps) ** 2)
         if (np.minimum(late, 1.0) ** 2) @ power <= (SHARE * noise) ** 2:
-            return max(least, ceil(steps * max(finer, 1.0) - 1e-9))
+            return max(least, ceil(steps * finer - 1e-9))
         steps += 1
 
 
