@@ -265,7 +265,8 @@ def test_sensors_leave_the_markers_as_they_are_to_the_bit() -> None:
 
 @pytest.mark.parametrize("paired", [False, True])
 def test_weights_at_a_frame_are_exact_for_parabolas(paired: bool) -> None:
-    steps, dt = np.array([8, 2, 12, 30]), np.array([2e-4, 7e-4, 1e-4, 5e-5])
+    steps = np.array([8, 2, 12, 30] if paired else [7, 1, 12, 30])
+    dt = np.array([2e-4, 1.4e-3, 1e-4, 5e-5])
     weights = reaction_weights({"steps": steps, "dt": dt, "paired": paired})
     begin = np.r_[0, np.cumsum(steps)]
     ends = np.r_[0.0, np.cumsum(steps * dt)]

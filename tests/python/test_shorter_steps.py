@@ -23,8 +23,8 @@ LAST = 4  # soon after the jerk: later what snaps through is told by no derivati
 
 
 @cache
-def jerked(jump: float = 0.14, frames: int = LAST) -> tuple[Predictor, Belief]:
-    """A soft sheet, its hold 14 cm higher a sixtieth of a second later."""
+def jerked(jump: float = 0.145, frames: int = LAST) -> tuple[Predictor, Belief]:
+    """A soft sheet, its hold 14.5 cm higher a sixtieth of a second later."""
     motion = np.zeros((frames, 3))
     motion[2:, 2] = jump
     capture = held_capture([strip(0.04, 0.02, held=0.003)], frames=frames, motion=motion)
@@ -37,14 +37,14 @@ def test_a_jerk_is_followed_in_shorter_steps_and_the_same_again() -> None:
     predictor, belief = jerked()
     usual = predictor.timeline(belief, LAST, predictor.stable_substep(belief)).substeps
     motion = predictor.predict(belief)
-    assert usual < motion.substeps < 4 * usual
+    assert usual < motion.substeps < 2 * usual
     assert np.isfinite(motion.position).all()
     # neither what ran before nor derivatives change a step
     again = predictor.twin(1)
     again.forget()
     told = again.predict(belief, keys=(KEY,))
     assert told.substeps == motion.substeps
-    np.testing.assert_allclose(told.position, motion.position, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(told.position, motion.position, rtol=0, atol=1e-10)
 
 
 def test_its_gradient_is_that_of_the_shorter_steps() -> None:
@@ -57,7 +57,7 @@ def test_its_gradient_is_that_of_the_shorter_steps() -> None:
     more, less = (
         predictor.predict(belief.with_parameter(KEY, value=2e5 * np.exp(x))).position for x in (step, -step)
     )
-    assert tangent == pytest.approx(np.vdot(bar, more - less) / (2 * step), rel=5e-3)
+    assert tangent == pytest.approx(np.vdot(bar, more - less) / (2 * step), rel=1e-3)
 
 
 @pytest.mark.parametrize("hard", [{3: 1}, {2: HALVINGS}, {1: 2, 4: 1}])

@@ -9,6 +9,7 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from mphygs.capture.format import Capture, Known, Markers
+from mphygs.scene.spacing_worth import usual_spacing
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import IMPLICIT, Settings
 from mphygs.simulate.step_choice import FEWEST, FEWEST_PAIRED, SHARE, steps_a_frame, steps_to_predict
@@ -84,6 +85,18 @@ def test_steps_are_as_much_shorter_as_cells_are() -> None:
         asked = steps_a_frame(swift, paired=paired)
         assert steps_a_frame(swift, paired=paired, finer=1.5) == pytest.approx(1.5 * asked, abs=1)
         assert steps_a_frame(swift, paired=paired, finer=0.75) == asked > fewest
+
+
+def test_runs_on_a_finer_grid_than_the_default_take_shorter_steps() -> None:
+    capture = beam(frames=3)
+    usual, belief = usual_spacing(capture.parts), bar_belief(capture, youngs_modulus=3e6, density=800.0)
+    steps = []
+    for share in (1.5, 1.0, 0.5):
+        settings = Settings(share * usual, workers=1, integrator=IMPLICIT)
+        predictor = Predictor(capture, capture.sequence("a"), settings)
+        timeline = predictor.timeline(belief, 3, predictor.stable_substep(belief))
+        steps.append(timeline.schedule["steps"].tolist())
+    assert steps == [2 * [FEWEST], 2 * [FEWEST], 2 * [2 * FEWEST]]
 
 
 def test_frames_that_are_not_fitted_are_not_looked_at() -> None:

@@ -72,7 +72,7 @@ def test_a_thicker_one_swings_and_weighs_as_its_mesh_does(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["rod", "shell"])
 def test_slopes_by_the_thickness_are_those_of_differences_and_of_the_adjoint(kind: str) -> None:
     capture = moved_capture(thin(kind), rest="equilibrium")
-    predictor = Predictor(capture, capture.sequence("a"), replace(SETTINGS, spacing=0.005))
+    predictor = Predictor(capture, capture.sequence("a"), SETTINGS)
     belief = belief_of(capture, 1.05)
     keys = [p.key for p in belief.free]
     own = predictor.predict(belief, keys=keys).jacobian[..., keys.index(T)]

@@ -110,7 +110,6 @@ def run_core_gradient(
     schedule: Mapping,
     loss: Callable[..., tuple[np.ndarray | None, ...]],
     hook: object | None = None,
-    observer: Observer | None = None,
 ) -> dict[str, np.ndarray]:
     """Gradient by every field of a loss whose derivatives `loss` says once it is given the trajectory, array
     by array: one forward run less than that run and its adjoint.
@@ -119,5 +118,5 @@ def run_core_gradient(
     """
     if is_mls(model):
         _plain(hook)
-        return model.gradient(fields, schedule, loss, None, _given(observer))[0]
-    return model.gradient(fields, schedule, loss, None, hook, _given(observer))[0]
+        return model.gradient(fields, schedule, loss)[0]
+    return model.gradient(fields, schedule, loss, None, hook)[0]
