@@ -134,14 +134,9 @@ void bind(py::module_& m, const char* name) {
                  const Schedule s = to_schedule(schedule);
                  const std::optional<Observer> o = to_observer(observer);
                  const ParticleTrajectory<T> b = to_particle_trajectory<T>(bar);
-                 Fields<T> g;
-                 long recomputed = 0;
-                 {
-                     const Progress p = to_progress(progress);
-                     py::gil_scoped_release release;
-                     g = self.adjoint(f, s, b, p, &recomputed, o ? &*o : nullptr);
-                 }
-                 return py::make_tuple(fields_dict(std::move(g)), recomputed);
+                 return gradient_tuple(progress, [&](const Progress& p, long* recomputed) {
+                     return self.adjoint(f, s, b, p, recomputed, o ? &*o : nullptr);
+                 });
              },
              py::arg("fields"), py::arg("schedule"), py::arg("bar"), py::arg("progress") = py::none(), py::arg("observer") = py::none(),
              "bar: (position, velocity, deformation) derivatives of the loss, None where absent.")
@@ -156,14 +151,9 @@ void bind(py::module_& m, const char* name) {
                      ParticleTrajectory<T> copy = t;
                      return to_particle_trajectory<T>(py::tuple(loss(*particle_arrays(std::move(copy), self.particle_count()))));
                  };
-                 Fields<T> g;
-                 long recomputed = 0;
-                 {
-                     const Progress p = to_progress(progress);
-                     py::gil_scoped_release release;
-                     g = self.gradient(f, s, call, p, &recomputed, o ? &*o : nullptr);
-                 }
-                 return py::make_tuple(fields_dict(std::move(g)), recomputed);
+                 return gradient_tuple(progress, [&](const Progress& p, long* recomputed) {
+                     return self.gradient(f, s, call, p, recomputed, o ? &*o : nullptr);
+                 });
              },
              py::arg("fields"), py::arg("schedule"), py::arg("loss"), py::arg("progress") = py::none(), py::arg("observer") = py::none(),
              "loss(position, velocity, deformation) returns its derivatives, None where absent; one forward run less than "

@@ -31,6 +31,23 @@ std::vector<Added<T>> to_added(const py::list& list) {
     return all;
 }
 
+/// What every run is given.
+template <class T>
+struct RunInputs {
+    RunInputs(const py::dict& from, const py::dict& steps, const py::object& hook, const py::object& observer)
+        : fields(to_fields<T>(from)), schedule(to_schedule(steps)), hooked_(!hook.is_none()), hook_(to_hook<T>(hook)), observer_(to_observer(observer)) {}
+    const PointHook<T>* hook() const { return hooked_ ? &hook_ : nullptr; }
+    const Observer* observer() const { return observer_ ? &*observer_ : nullptr; }
+
+    const Fields<T> fields;
+    const Schedule schedule;
+
+  private:
+    bool hooked_;
+    PointHook<T> hook_;
+    std::optional<Observer> observer_;
+};
+
 template <class T>
 Trajectory<T> to_trajectory_bar(const py::tuple& t) {
     if (t.size() != 2 && t.size() != 3) {
@@ -103,15 +120,12 @@ void bind(py::module_& m, const char* name) {
         .def("simulate",
              [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::object& progress, const py::object& hook,
                 const py::object& observer) {
-                 const Fields<T> f = to_fields<T>(fields);
-                 const Schedule s = to_schedule(schedule);
-                 const PointHook<T> h = to_hook<T>(hook);
-                 const std::optional<Observer> o = to_observer(observer);
+                 const RunInputs<T> in(fields, schedule, hook, observer);
                  Trajectory<T> t;
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.simulate(f, s, p, hook.is_none() ? nullptr : &h, o ? &*o : nullptr);
+                     t = self.simulate(in.fields, in.schedule, p, in.hook(), in.observer());
                  }
                  return trajectory_arrays(std::move(t), self.node_count());
              },
@@ -120,11 +134,8 @@ void bind(py::module_& m, const char* name) {
         .def("tangent",
              [](const Model& self, const py::dict& fields, const py::list& directions, const py::dict& schedule,
                 const py::object& progress, const py::object& hook, const py::list& added, const py::object& observer) {
-                 const Fields<T> f = to_fields<T>(fields);
-                 const Schedule s = to_schedule(schedule);
-                 const PointHook<T> h = to_hook<T>(hook);
+                 const RunInputs<T> in(fields, schedule, hook, observer);
                  const std::vector<Added<T>> a = to_added<T>(added);
-                 const std::optional<Observer> o = to_observer(observer);
                  std::vector<Fields<T>> d;
                  for (const auto& item : directions) {
                      d.push_back(to_fields<T>(item.cast<py::dict>()));
@@ -133,7 +144,7 @@ void bind(py::module_& m, const char* name) {
                  {
                      const Progress p = to_progress(progress);
                      py::gil_scoped_release release;
-                     t = self.tangent(f, d, s, p, hook.is_none() ? nullptr : &h, a, o ? &*o : nullptr);
+                     t = self.tangent(in.fields, d, in.schedule, p, in.hook(), a, in.observer());
                  }
                  py::list out;
                  for (auto& x : t) {
@@ -147,20 +158,12 @@ void bind(py::module_& m, const char* name) {
              [](const Model& self, const py::dict& fields, const py::dict& schedule, const Array<T>& displacement_bar,
                 const Array<T>& velocity_bar, const py::object& progress, const py::object& hook, const py::object& observer,
                 const py::object& reaction_bar) {
-                 const Fields<T> f = to_fields<T>(fields);
-                 const Schedule s = to_schedule(schedule);
-                 const PointHook<T> h = to_hook<T>(hook);
-                 const std::optional<Observer> o = to_observer(observer);
+                 const RunInputs<T> in(fields, schedule, hook, observer);
                  const Trajectory<T> bar{to_vector<T>(displacement_bar), to_vector<T>(velocity_bar),
                                          reaction_bar.is_none() ? std::vector<double>{} : to_vector<double>(reaction_bar.cast<Array<double>>())};
-                 Fields<T> g;
-                 long recomputed = 0;
-                 {
-                     const Progress p = to_progress(progress);
-                     py::gil_scoped_release release;
-                     g = self.adjoint(f, s, bar, p, &recomputed, hook.is_none() ? nullptr : &h, o ? &*o : nullptr);
-                 }
-                 return py::make_tuple(fields_dict(std::move(g)), recomputed);
+                 return gradient_tuple(progress, [&](const Progress& p, long* recomputed) {
+                     return self.adjoint(in.fields, in.schedule, bar, p, recomputed, in.hook(), in.observer());
+                 });
              },
              py::arg("fields"), py::arg("schedule"), py::arg("displacement_bar"), py::arg("velocity_bar"),
              py::arg("progress") = py::none(), py::arg("hook") = py::none(), py::arg("observer") = py::none(),
@@ -168,23 +171,15 @@ void bind(py::module_& m, const char* name) {
         .def("gradient",
              [](const Model& self, const py::dict& fields, const py::dict& schedule, const py::function& loss, const py::object& progress,
                 const py::object& hook, const py::object& observer) {
-                 const Fields<T> f = to_fields<T>(fields);
-                 const Schedule s = to_schedule(schedule);
-                 const PointHook<T> h = to_hook<T>(hook);
-                 const std::optional<Observer> o = to_observer(observer);
+                 const RunInputs<T> in(fields, schedule, hook, observer);
                  const auto call = [&](const Trajectory<T>& t) {
                      py::gil_scoped_acquire acquire;
                      Trajectory<T> copy = t;
                      return to_trajectory_bar<T>(py::tuple(loss(*trajectory_arrays(std::move(copy), self.node_count()))));
                  };
-                 Fields<T> g;
-                 long recomputed = 0;
-                 {
-                     const Progress p = to_progress(progress);
-                     py::gil_scoped_release release;
-                     g = self.gradient(f, s, call, p, &recomputed, hook.is_none() ? nullptr : &h, o ? &*o : nullptr);
-                 }
-                 return py::make_tuple(fields_dict(std::move(g)), recomputed);
+                 return gradient_tuple(progress, [&](const Progress& p, long* recomputed) {
+                     return self.gradient(in.fields, in.schedule, call, p, recomputed, in.hook(), in.observer());
+                 });
              },
              py::arg("fields"), py::arg("schedule"), py::arg("loss"), py::arg("progress") = py::none(), py::arg("hook") = py::none(),
              py::arg("observer") = py::none(),

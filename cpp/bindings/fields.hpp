@@ -238,4 +238,16 @@ inline mphygs::Progress to_progress(const py::object& f) {
     };
 }
 
+/// (gradient, substeps computed again) of run(progress, recomputed), which makes the gradient without the interpreter's lock.
+template <class Run>
+py::tuple gradient_tuple(const py::object& progress, Run&& run) {
+    const mphygs::Progress p = to_progress(progress);
+    long recomputed = 0;
+    auto g = [&] {
+        py::gil_scoped_release release;
+        return run(p, &recomputed);
+    }();
+    return py::make_tuple(fields_dict(std::move(g)), recomputed);
+}
+
 }  // namespace mphygs_python
