@@ -9,7 +9,16 @@ import pytest
 
 from bar_capture import bar_belief, bar_capture
 from extend_example import recorded
-from mphygs.compare.assess import BUDGET_FLOOR, Assessment, assess, in_words, stays
+from mphygs.compare.assess import (
+    BUDGET_FLOOR,
+    Assessment,
+    assess,
+    in_words,
+    ratios,
+    ratios_at_zero_spacing,
+    stays,
+)
+from mphygs.compare.compared import whiten_all
 from mphygs.compare.grid_share import grid_shift
 from mphygs.compare.noise import NoiseModel, Observation
 from mphygs.fit.experiment import Experiment
@@ -135,6 +144,23 @@ def test_no_share_of_the_grid_excuses_what_a_finer_one_leaves() -> None:
     assert excused.budget["physics"] == 0.0 and refused.budget["discretisation"] == 0.0
     assert refused.p_value < 1e-6 < excused.p_value
     assert refused.rows == excused.rows and all(min(rows.values()) > 100 for rows in refused.rows.values())
+
+
+def test_the_limit_of_fine_grids_leaves_the_noise_of_a_right_model_and_more_of_a_wrong_one() -> None:
+    capture = bar_capture(frames=FRAMES, fps=100.0, fit=(0, SPLIT))
+    truth = bar_belief(capture, youngs_modulus=6e4, free=())
+    experiment = Experiment.of(recorded(capture, truth, SPACING), Settings(SPACING, workers=1))
+    compared = experiment.compare(truth, SPACING)
+    name, item = next(iter(compared.items()))
+    noise = ratios(whiten_all(compared))
+    # An error of the grid, in its square, of 4 and 1 sigma; of a wrong model the same makes up for 5 sigma.
+    error = item.observation.sigma * np.random.default_rng(8).choice([-1.0, 1.0], item.predicted.shape)
+    coarse, fine = ({name: replace(item, predicted=item.predicted + k * error)} for k in (4.0, 1.0))
+    found = ratios_at_zero_spacing(coarse, fine, 2.0)
+    assert found[name] == pytest.approx(noise[name], rel=1e-9)
+    coarse, fine = ({name: replace(item, predicted=item.predicted + k * error)} for k in (-1.0, -4.0))
+    found = ratios_at_zero_spacing(coarse, fine, 2.0)
+    assert min(found[name].values()) > 4.9
 
 
 def test_shares_add_to_the_misfit_in_squares() -> None:

@@ -532,6 +532,33 @@ def test_a_rival_that_is_clearly_better_takes_the_place(monkeypatch: pytest.Monk
     assert (found.added, found.ties) == (("viscosity",), ("wind",))
 
 
+def test_where_none_explains_it_the_limit_of_fine_grids_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The first makes up for what this grid gets wrong, the second is right but for the grid.
+    first = replace(model("tether", 1.4, 2), excess_beyond=2.1)
+    second = replace(model("attached_mass", 1.8, 3), excess_beyond=0.4)
+    found = kept(monkeypatch, first, second)
+    assert (found.added, found.ties) == (("attached_mass",), ())
+    # No limit is known of one of them, or one explains the motion as it is: what they leave here decides.
+    for known in (replace(second, excess_beyond=None), replace(second, excess_beyond=2.2)):
+        found = kept(monkeypatch, first, known)
+        assert found.added == ("tether",)
+    found = kept(monkeypatch, replace(first, assessment=assessment_of(1.05)), second)
+    assert (found.added, found.ties) == (("tether",), ())
+
+
+def test_what_takes_the_place_is_asked_on_the_grid_that_it_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+    fine = step_of(assessment_of(1.05), added=("attached_mass",), spacing=0.5 * SPACING)
+
+    def required(_e: object, steps: list[Step], _r: object, **_: object) -> Step:
+        return fine if steps[-1].added == fine.added else steps[-1]
+
+    monkeypatch.setattr(model_selection, "on_required_grid", required)
+    first = replace(model("tether", 1.4, 2), excess_beyond=2.1)
+    second = replace(model("attached_mass", 1.8, 3), excess_beyond=0.4)
+    found = selected_model(ALONE, [step_of(assessment_of(20.0))], first, [second], None, screening=True)
+    assert (found.added, found.spacing) == (fine.added, fine.spacing)
+
+
 def test_numbers_that_explain_far_more_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 

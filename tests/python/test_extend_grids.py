@@ -24,7 +24,8 @@ from mphygs.diagnose import grid_error
 from mphygs.extend import coarse_grid_search as probing
 from mphygs.extend import finer_grid, grids, required_grid
 from mphygs.extend import onset_transfer as meeting
-from mphygs.extend.step import Step, staying
+from mphygs.extend import step as extend_step
+from mphygs.extend.step import Step, excess, staying
 from mphygs.extend.steps import restored, state_of, step_at
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
@@ -211,6 +212,9 @@ def test_missing_physics_stays_on_a_finer_grid_and_the_grids_error_falls(hidden:
     assert coarse.assessment.worst > 1.2 and not coarse.persists
     # Once may be a grid that is too coarse to converge; twice is none.
     assert once.persists is (hidden > 0.0) and not once.stays
+    # What is missing would stay on an ever finer grid, the grid's own error falls.
+    assert coarse.excess_beyond is None
+    assert (once.excess_beyond > excess(once.assessment)) is (hidden > 0.0)
     fine = finer_grid.on_finer_grid(experiment, once)
     assert fine.stays is (hidden > 0.0)
     if hidden:
@@ -220,7 +224,7 @@ def test_missing_physics_stays_on_a_finer_grid_and_the_grids_error_falls(hidden:
         for step in (known, fine):
             assert all(item.stays for item in finer_grid.compared_as_step(experiment, step, truth).values())
         kept = restored(experiment, state_of(known), {"added": [], "ties": []})
-        assert kept.stays and kept.persists
+        assert kept.stays and kept.persists and kept.excess_beyond == known.excess_beyond > 0.0
 
 
 @pytest.mark.parametrize(
@@ -263,6 +267,7 @@ def test_a_fit_on_a_finer_grid_goes_on_where_it_may_come_near_the_floor(
     monkeypatch.setattr(grids, "simulable", lambda _problem, belief: belief)
     monkeypatch.setattr(grids, "jacobian_source", lambda *_: None)
     monkeypatch.setattr(grids, "with_tangents", lambda _experiment, compared, *_: compared)
+    monkeypatch.setattr(extend_step, "ratios_at_zero_spacing", lambda *_: {"s0": {"fit": worst}})
     step = step_of(assessment_of(2.9), added=("air_drag",), spacing=COARSE)
     found = grids.on_grid(experiment, step, FINE)
     assert found is not None and found.assessment.worst == worst

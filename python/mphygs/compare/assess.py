@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -83,6 +83,21 @@ def stays(coarse: Assessment, fine: Assessment, ratio: float) -> bool:
         new - 1.0 > falls_to * (old - 1.0)
         for old, new in ((before, after), (coarse.worst**2, fine.worst**2))
     )
+
+
+def ratios_at_zero_spacing(
+    coarse: Mapping[str, Compared], fine: Mapping[str, Compared], ratio: float
+) -> dict[str, dict[str, float]]:
+    """Root mean square over sigma, by sequence and range, of what a model would leave on an ever finer grid.
+
+    coarse, fine: of the same model and measurements, fitted on either grid; ratio: of their spacings, above
+    1. Richardson's extrapolation of the residual, whose error falls with the square of the spacing: the noise
+    in it is the same on both grids and stays as it is. A wrong model that makes up for a coarse grid leaves
+    more in that limit, the right one its noise.
+    """
+    before, after = whiten_all(coarse), whiten_all(fine)
+    beyond = (after.residual - before.residual) / (ratio**2 - 1.0)
+    return ratios(replace(after, residual=after.residual + beyond))
 
 
 def in_words(adequate: bool, p_value: float) -> str:

@@ -172,7 +172,7 @@ _STATE = record(
         "reconciled": Entry.flag,
         "warnings": many(sentence),
     },
-    {"stays": Entry.flag, "persists": Entry.flag},
+    {"stays": Entry.flag, "persists": Entry.flag, "excess_beyond": maybe(size)},
 )
 _RANKING = record(
     {

@@ -72,14 +72,14 @@ def fitted_by_coarse_jacobians(
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
-    compared, assessment, persists = beside_coarser(experiment, step, compared, spacing, say)
+    compared, assessment, beside = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
     changes = {
         "spacing": spacing,
         "jacobian_spacing": jacobian_spacing,
         "refinement_spacing": None,
         "moved": moved,
-        "persists": persists,
+        **beside,
     }
     return step.refitted(solution, compared, assessment, **changes)
 

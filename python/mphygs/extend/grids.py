@@ -111,12 +111,12 @@ def on_grid(
     except SimulationError as error:
         say(f"grid of {1e3 * spacing:.3g} mm: {error}")
         return None
-    compared, assessment, persists = beside_coarser(experiment, step, compared, spacing, say)
+    compared, assessment, beside = beside_coarser(experiment, step, compared, spacing, say)
     moved = from_grid_to_grid(step, solution.belief, spacing)
     coarse_belief = step.belief if spacing < step.spacing else None
     changes = {
         "spacing": spacing, "jacobian_spacing": None, "refinement_spacing": None, "moved": moved,
-        "coarse_belief": coarse_belief, "persists": persists,
+        "coarse_belief": coarse_belief, **beside,
     }  # fmt: skip
     return step.refitted(solution, compared, assessment, **changes)
 

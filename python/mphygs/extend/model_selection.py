@@ -14,7 +14,7 @@ from mphygs.extend.finer_grid import (
 from mphygs.extend.grids import GROSS, complete, on_grid
 from mphygs.extend.refit import AT_FLOOR, Refit
 from mphygs.extend.required_grid import on_required_grid
-from mphygs.extend.step import EXPLAINED, Step, does_alike, excess
+from mphygs.extend.step import EXPLAINED, Step, does_alike, excess, excess_on_its_grid
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.problem import Problem
 from mphygs.fit.side_by_side import side_by_side
@@ -115,6 +115,13 @@ def _takes_the_grids(best: Step, rival: Step) -> bool:
     return not rival.explained or (excused and more)
 
 
+def _comparable(steps: Sequence[Step]) -> Callable[[Step], float]:
+    """The excess by which steps on one grid are held against each other."""
+    if any(step.explained or step.excess_beyond is None for step in steps):
+        return excess_on_its_grid
+    return lambda step: step.excess_beyond
+
+
 def selected_model(
     experiment: Experiment,
     steps: Sequence[Step],
@@ -126,7 +133,8 @@ def selected_model(
 ) -> Step:
     """The better of the best step and its rivals on the grid that the best one asks for, with its ties.
 
-    What reaches the floor as well cannot be told from it.
+    What reaches the floor as well cannot be told from it. A rival that takes its place without explaining the
+    motion there is asked for the grid that it wants itself.
     """
     tried = best.refits
     best, rivals = fewest_parameters(best, rivals)
@@ -134,7 +142,11 @@ def selected_model(
     best = on_required_grid(experiment, [*steps, best], report, screening=screening, tied=tied)
     if not best.explained:
         best = replace(best, ties=())
-    return replace(best_of_rivals(experiment, best, rivals, report, screening=screening), refits=tried)
+    chosen = best_of_rivals(experiment, best, rivals, report, screening=screening)
+    if chosen.added != best.added and not chosen.explained:
+        tied = bool(chosen.ties)
+        chosen = on_required_grid(experiment, [*steps, chosen], report, screening=screening, tied=tied)
+    return replace(chosen, refits=tried)
 
 
 def best_of_rivals(
@@ -147,7 +159,8 @@ def best_of_rivals(
 ) -> Step:
     """The better of a step and its rivals on the step's grid, with those that do alike as its ties.
 
-    screening: see `complete`.
+    Where none explains the motion there, by what they would leave on an ever finer one: on a grid that is too
+    coarse for all of them those lead that happen to make up for it. screening: see `complete`.
     """
     alike = [rival for rival in rivals if rival.spacing == best.spacing]
     # Where the best is not explained on its finer grid, those that may be are asked there as well.
@@ -155,12 +168,13 @@ def best_of_rivals(
     others = [rival for rival in able if rival.spacing != best.spacing]
     moved = side_by_side(experiment, lambda twin, rival: on_the_grid_of(twin, best, rival, report), others)
     alike += [rival for rival in moved if rival is not None]
-    alike.sort(key=lambda step: excess(step.assessment))
-    beaten = alike and not does_alike(best, alike[0])
+    left = _comparable([best, *alike])
+    alike.sort(key=left)
+    beaten = alike and not does_alike(best, alike[0], left=left)
     if beaten and not _takes_the_grids(best, alike[0]):
         best, alike = alike[0], [best, *alike[1:]]
-    tied = [best, *(r for r in alike if does_alike(r, best))]
-    tied.sort(key=_order)
+    tied = [best, *(r for r in alike if does_alike(r, best, left=left))]
+    tied.sort(key=lambda step: (step.belief.numbers, left(step)))
     named = dict.fromkeys((*(r.added[0] for r in tied[1:]), *(name for r in tied for name in r.ties)))
     chosen = replace(tied[0], ties=tuple(name for name in named if name not in tied[0].added))
     return complete(experiment, chosen, screening=screening)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mphygs.compare.assess import Assessment, Compared, stays
+from mphygs.compare.assess import Assessment, Compared, ratios_at_zero_spacing, stays
 from mphygs.extend.refit import Refit
 from mphygs.fit.experiment import Experiment
 from mphygs.fit.levenberg_marquardt import Solution
@@ -38,8 +38,9 @@ class Step:
     would move each coordinate, by the parameter's key, as the last change of grids tells (see
     `from_grid_to_grid`); coarse_belief: the model as it had been fitted on the coarser grid that it was
     brought from; halfway: of a first model, as it had been fitted to half the frames on this grid; persists:
-    whether its misfit did on the step from a coarser grid to this one (see `beside_coarser`); warnings: what
-    was said on the way to it; limits: how far its numbers can be moved, None where that was not asked (see
+    whether its misfit did on the step from a coarser grid to this one (see `beside_coarser`); excess_beyond:
+    its excess in the limit of zero spacing, as that step tells, None where there was none; warnings: what was
+    said on the way to it; limits: how far its numbers can be moved, None where that was not asked (see
     `bounded`), and with it change: (N,) error of the grid in the measured rows, by a coarser one; table: the
     candidates of the round that led to it (see `candidate_rows`)."""
 
@@ -61,6 +62,7 @@ class Step:
     halfway: Belief | None = None
     warnings: tuple[str, ...] = ()
     persists: bool = False
+    excess_beyond: float | None = None
     limits: Mapping[str, Limits] | None = None
     change: np.ndarray | None = None
     table: tuple[dict[str, object], ...] = ()
@@ -101,22 +103,27 @@ def beside_coarser(
     compared: dict[str, Compared],
     spacing: float,
     say: Callable[[str], None],
-) -> tuple[dict[str, Compared], Assessment, bool]:
-    """A step's model, fitted on a grid of another spacing [m] and compared there; what that says, and whether
-    it is finer and leaves as much (see `stays`).
+) -> tuple[dict[str, Compared], Assessment, dict[str, object]]:
+    """A step's model, fitted on a grid of another spacing [m] and compared there; what that says, and where
+    it is finer, whether it leaves as much (see `stays`) and what a finer one yet would: `persists` and
+    `excess_beyond` of `Step`.
 
     No grid excuses what two finer ones in a row leave: on one step alone grids may both be too coarse to
     converge, for a thin leaf, say.
     """
     assessment = experiment.assess(compared)
     said = f"{step.assessment.worst:.3f} -> {assessment.worst:.3f} sigma in the worst range"
-    persists = spacing < step.spacing and stays(step.assessment, assessment, step.spacing / spacing)
+    ratio = step.spacing / spacing
+    persists = ratio > 1.0 and stays(step.assessment, assessment, ratio)
+    beyond = None
+    if ratio > 1.0:
+        beyond = excess_of(ratios_at_zero_spacing(step.compared, compared, ratio))
     if persists and step.persists:
         compared = staying(compared)
         assessment = experiment.assess(compared)
         said += ", which is not the grid's then"
     say(said)
-    return compared, assessment, persists
+    return compared, assessment, {"persists": persists, "excess_beyond": beyond}
 
 
 def from_grid_to_grid(step: Step, fitted: Belief, spacing: float) -> dict[str, float]:
@@ -139,7 +146,12 @@ def known_budget(step: Step) -> bool:
 
 def excess(assessment: Assessment, label: str | None = None) -> float:
     """Mean square beyond noise of the whitened residual, averaged over ranges, or over those of a label."""
-    items = [item for ranges in assessment.ratio.values() for item in ranges.items()]
+    return excess_of(assessment.ratio, label)
+
+
+def excess_of(ratio: Mapping[str, Mapping[str, float]], label: str | None = None) -> float:
+    """The same of ratios by sequence and range."""
+    items = [item for ranges in ratio.values() for item in ranges.items()]
     values = [value for key, value in items if label in (None, key)]
     return float(np.mean([max(v * v - 1.0, 0.0) for v in values]))
 
@@ -152,10 +164,21 @@ def leaves_most(steps: Sequence[Step]) -> bool:
     return excess(steps[-1].assessment) > LARGELY * excess(steps[-2].assessment)
 
 
-def does_alike(rival: Step, best: Step, *, share: float = CLEARLY_BETTER) -> bool:
+def excess_on_its_grid(step: Step) -> float:
+    """What a step leaves (see `excess`) on the grid that it stands on."""
+    return excess(step.assessment)
+
+
+def does_alike(
+    rival: Step,
+    best: Step,
+    *,
+    share: float = CLEARLY_BETTER,
+    left: Callable[[Step], float] = excess_on_its_grid,
+) -> bool:
     """Whether a rival explains as much as the best; every parameter that the best has more has to pay.
 
-    share: of the rival's excess that a better one would leave.
+    share: of the rival's excess that a better one would leave; left: the excess of a step.
     """
     more = max(best.belief.numbers - rival.belief.numbers, 0)
-    return excess(rival.assessment) < excess(best.assessment) / share + NEGLIGIBLE * (1 + more)
+    return left(rival) < left(best) / share + NEGLIGIBLE * (1 + more)

@@ -70,6 +70,7 @@ def state_of(step: Step) -> dict[str, object]:
         "refined": known_budget(step),
         "stays": step.stays,
         "persists": step.persists,
+        "excess_beyond": step.excess_beyond,
         "refinement_spacing": step.refinement_spacing,
         "moved": dict(step.moved),
         "coarse_belief": step.coarse_belief and document_of_belief(step.coarse_belief),
@@ -107,6 +108,7 @@ def restored(
         coarse_belief=coarse and belief_from_document(coarse),
         warnings=tuple(state["warnings"]),
         persists=state.get("persists", False),
+        excess_beyond=state.get("excess_beyond"),
         table=tuple(document.get("table", ())),
     )
 
