@@ -13,8 +13,9 @@ from mphygs.capture.meshes import Part
 from mphygs.scene.cell_blocks import CORNERS, SMALLEST, CellBlocks, Grid, fitting, moments, spread
 from mphygs.scene.columns import Segments, cut_axis, split_columns
 from mphygs.scene.curved_charts import Chart
+from mphygs.scene.fastenings import Grading, middle_surface_of
 from mphygs.scene.finer_meshes import finer
-from mphygs.scene.middle_surface import chords, middle_surface
+from mphygs.scene.middle_surface import MiddleSurface, chords
 from mphygs.scene.rays import inside
 from mphygs.scene.rod_chart import centre_line, rod_chart
 from mphygs.scene.shell_chart import shell_chart
@@ -63,7 +64,7 @@ def _by_size(part: Part, spacing: float) -> tuple[str, str]:
 def _unfit(part: Part, shape: str, spacing: float) -> str | None:
     """Why a part is no rod or no shell, in words; None where it is."""
     try:
-        _lay(part, shape, spacing, ())
+        _lay(part, shape, spacing, (), None)
     except ValueError as error:
         return str(error).removeprefix(f"part '{part.name}': ").split(", expected")[0]
     return None
@@ -83,29 +84,37 @@ def _sizes(part: Part) -> tuple[float, float, float]:
     return thickness, part.volume / (thickness * length), length
 
 
-def cell_count(part: Part, spacing: float) -> float:
+def cell_count(part: Part, spacing: float, graded: Grading | None = None) -> float:
     """Cells of a spacing [m] that a part's material is worth: of its volume, its sheet or its line, as which
-    its size has it."""
+    its size has it. graded: how much shorter those of a sheet are."""
     shape = _by_size(part, spacing)[0]
     if shape == "solid":
         return part.volume / spacing**3
     thickness, _, length = _sizes(part)
-    return length / spacing if shape == "rod" else part.volume / (thickness * spacing**2)
+    if shape == "rod":
+        return length / spacing
+    times = graded.times(middle_surface_of(part), spacing) if graded else 1.0
+    return times * part.volume / (thickness * spacing**2)
 
 
-def lay_chart(part: Part, spacing: float, gripped: Sequence[np.ndarray] = ()) -> Chart | None:
+def lay_chart(
+    part: Part, spacing: float, gripped: Sequence[np.ndarray] = (), graded: Grading | None = None
+) -> Chart | None:
     """The curved grid of a part, or None where it is a solid.
 
     spacing: of its cells along the part, as near to it as makes a whole number of them [m]; gripped: for each
-    hold places (n, 3) where it grips the part [m]: a boundary between cells lies there where that can be.
+    hold places (n, 3) where it grips the part [m]: a boundary between cells lies there where that can be;
+    graded: how much shorter cells of a sheet are.
     Raises ValueError where the part is not what it is to be simulated as.
     """
     shape = chosen_shape(part, spacing)[0]
-    return None if shape == "solid" else _lay(part, shape, spacing, gripped)
+    return None if shape == "solid" else _lay(part, shape, spacing, gripped, graded)
 
 
-def _lay(part: Part, shape: str, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
-    chart = _rod(part, spacing, gripped) if shape == "rod" else _shell(part, spacing, gripped)
+def _lay(
+    part: Part, shape: str, spacing: float, gripped: Sequence[np.ndarray], graded: Grading | None
+) -> Chart:
+    chart = _rod(part, spacing, gripped) if shape == "rod" else _shell(part, spacing, gripped, graded)
     vertices = _finer(part, chart)
     # What the chart left out at its thin ends is brought in: nothing may be beyond the one cell.
     reach = 2.0 * np.abs(chart.to_cells(vertices) - 1.0)[:, 3 - chart.thin :].max(axis=0)
@@ -140,17 +149,17 @@ def _rod(part: Part, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
     return rod_chart(line, low, size, count)
 
 
-def _shell(part: Part, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
-    surface = middle_surface(part)
+def _shell(part: Part, spacing: float, gripped: Sequence[np.ndarray], graded: Grading | None) -> Chart:
+    surface = middle_surface_of(part)
 
     def laid(
-        low: np.ndarray, high: np.ndarray, planes: Sequence[float | None]
+        surface: MiddleSurface, low: np.ndarray, high: np.ndarray, planes: Sequence[float | None]
     ) -> tuple[Chart, np.ndarray, np.ndarray]:
         cells = [fitting(low[a], high[a], spacing, planes[a], least=2) for a in range(2)]
         corner, size, count = (np.array(values) for values in zip(*cells, strict=True))
         return shell_chart(surface, corner, size, count), corner, size
 
-    chart, corner, size = laid(surface.flat.min(axis=0), surface.flat.max(axis=0), (None, None))
+    chart, corner, size = laid(surface, surface.flat.min(axis=0), surface.flat.max(axis=0), (None, None))
 
     def flat(points: np.ndarray) -> np.ndarray:
         return corner + (chart.to_cells(points)[:, :2] - 0.5) * size
@@ -159,7 +168,16 @@ def _shell(part: Part, spacing: float, gripped: Sequence[np.ndarray]) -> Chart:
     rim = flat(part.vertices)
     held = [flat(points) for points in gripped if len(points)]
     planes = [_boundary([each[:, a] for each in held], spacing) for a in range(2)]
-    return laid(rim.min(axis=0), rim.max(axis=0), planes)[0]
+    low, high = rim.min(axis=0), rim.max(axis=0)
+    if graded is None:
+        return laid(surface, low, high, planes)[0]
+    # Cells of one length along axes that are stretched where they are to be shorter.
+    axes = [graded.stretched(a, low[a], high[a], spacing) for a in range(2)]
+    flat_by_axis = [axes[a](surface.flat[:, a]) for a in range(2)]
+    ends = [axes[a](np.array([low[a], high[a]])) for a in range(2)]
+    planes = [None if planes[a] is None else float(axes[a](planes[a])) for a in range(2)]
+    stretched = surface._replace(flat=np.stack(flat_by_axis, axis=1))
+    return laid(stretched, *np.transpose(ends), planes)[0]
 
 
 def _boundary(along: Sequence[np.ndarray], spacing: float) -> float | None:

@@ -3,22 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
 
 from mphygs.capture.meshes import Part
-from mphygs.scene.curved_quadrature import cell_count
+from mphygs.scene.curved_quadrature import cell_count, chosen_shape
+from mphygs.scene.fastenings import Grading, grading
 
 # Cells that an object of default spacing is worth: about 250 of its volume, and of its sheets and rods.
 DEFAULT_CELLS = 250
 
 
 def usual_spacing(parts: Sequence[Part]) -> float:
-    """The spacing that gives parts about DEFAULT_CELLS full cells of material [m], two digits."""
+    """The spacing that gives parts about DEFAULT_CELLS full cells of material [m], two digits.
+
+    Sheets that are fastened over a part of their width have shorter cells there (see `Grading`): the spacing
+    is larger by as much as makes up for them, at the least.
+    """
+    return _usual_spacing(tuple(parts))
+
+
+@lru_cache(maxsize=64)
+def _usual_spacing(parts: tuple[Part, ...]) -> float:
     spacing = spacing_worth(parts, DEFAULT_CELLS)
+    spacing *= np.sqrt(_count(parts, spacing, graded=True) / _count(parts, spacing))
     digits = 10.0 ** (np.floor(np.log10(spacing)) - 1)
     return float(np.round(spacing / digits) * digits)
+
+
+def _count(parts: Sequence[Part], spacing: float, *, graded: bool = False) -> float:
+    """Cells that parts are worth, with the shorter ones or without."""
+
+    def shorter(number: int, part: Part) -> Grading | None:
+        sheet = graded and chosen_shape(part, spacing)[0] == "shell"
+        return grading(parts, number, spacing) if sheet else None
+
+    return sum(cell_count(part, spacing, shorter(number, part)) for number, part in enumerate(parts))
 
 
 def spacing_worth(parts: Sequence[Part], cells: float) -> float:
@@ -29,7 +51,7 @@ def spacing_worth(parts: Sequence[Part], cells: float) -> float:
         return full
 
     def excess(spacing: float) -> float:
-        return float(np.log(sum(cell_count(part, spacing) for part in parts) / cells))
+        return float(np.log(_count(parts, spacing) / cells))
 
     # A sheet of cells thicker than it is worth more of them than its volume: this is the finest it can be.
     high = full

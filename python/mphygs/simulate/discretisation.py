@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mphygs.capture.format import Capture
+from mphygs.capture.meshes import Part
 from mphygs.scene.curved_charts import Chart
+from mphygs.scene.fastenings import grading
 from mphygs.scene.particles import (
+    HoldFace,
     chosen_shape,
     exposed_surface,
     fill,
@@ -16,6 +21,7 @@ from mphygs.scene.particles import (
     rods_doubled,
 )
 from mphygs.scene.slivers import merge_slivers
+from mphygs.scene.spacing_worth import usual_spacing
 from mphygs.simulate.body import LANES, Body
 from mphygs.simulate.rows import constraint_rows
 
@@ -54,10 +60,7 @@ def discretise(
         gripped = {
             (int(p), face.axis): face.coordinate for group in faces for face in group for p in set(face.part)
         }
-        charts = [
-            lay_chart(part, spacing, [f.points[f.part == p] for group in faces for f in group])
-            for p, part in enumerate(parts)
-        ]
+        charts = _charts(parts, spacing, faces)
         charts = charts if any(chart is not None for chart in charts) else []
         quadrature = fill_each(parts, spacing=spacing, exclude_boxes=excluded, planes=gripped, charts=charts)
     else:
@@ -120,6 +123,19 @@ def discretise(
         geometry["places"] = np.asarray(places, float)
         geometry["place_cell"] = body.nearest_cell(np.asarray(places, float))
     return body
+
+
+def _charts(
+    parts: Sequence[Part], spacing: float, faces: Sequence[Sequence[HoldFace]]
+) -> list[Chart | None]:
+    """The curved grid of every part, None where it is a solid."""
+    found: list[Chart | None] = []
+    for number, part in enumerate(parts):
+        gripped = [f.points[f.part == number] for group in faces for f in group]
+        sheet = chosen_shape(part, spacing)[0] == "shell"
+        graded = grading(parts, number, usual_spacing(parts), gripped) if sheet else None
+        found.append(lay_chart(part, spacing, gripped, graded))
+    return found
 
 
 def _curved_nodes(charts: tuple[Chart | None, ...], width: int) -> dict:
