@@ -68,7 +68,7 @@ def test_a_fit_finds_parts_two_hundred_times_apart(stiff: float, soft: float) ->
 
 
 def test_a_part_is_moved_by_decades_as_long_as_that_fits_better() -> None:
-    problem = Decades(lambda a, b: 100.0 + 40.0 * abs(a - 8.0) + 30.0 * abs(b - 5.2))
+    problem = Decades(lambda a, b: 10.0 + 40.0 * abs(a - 8.0) + 30.0 * abs(b - 5.2))
     begin = at(1e8, 1e8)
     found = other_scales(problem, begin, problem.evaluate(begin), 1e-3)
     assert [found[key].value for key in KEYS] == pytest.approx([1e8, 1e5])
@@ -80,6 +80,21 @@ def test_a_part_is_moved_by_decades_as_long_as_that_fits_better() -> None:
     problem.asked.clear()
     assert other_scales(problem, found, problem.evaluate(found), 1e-3) is None
     assert len(problem.asked) == 1 + 4
+
+
+@pytest.mark.parametrize("valley", [7.0, 6.0, 6.25, 6.5])
+def test_a_part_is_found_beyond_decades_at_which_it_is_rigid(valley: float) -> None:
+    """Softer than that it falls by its weight; the valley is a third of a decade wide."""
+
+    def cost(a: float, b: float) -> float:
+        if abs(b - valley) < 0.17:
+            return 10.0
+        return float(100.0 + 3.0 * np.sin(5.0 * b) + 1e3 * max(valley - 0.3 - b, 0.0))
+
+    problem, begin = Decades(cost), at(1e8, 1e8)
+    found = other_scales(problem, begin, problem.evaluate(begin), 1e-3)
+    assert np.log10(found[KEYS[1]].value) == pytest.approx(valley, abs=0.17)
+    assert found[KEYS[0]] == begin[KEYS[0]]
 
 
 def test_what_cannot_be_simulated_or_hardly_helps_is_left() -> None:

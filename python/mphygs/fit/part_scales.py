@@ -2,14 +2,18 @@
 
 Beside a stem a hundred times as stiff a petal at the stem's modulus is rigid: it moves as the stem takes it
 whatever its modulus, no tangent leads back, and bounds about the common scale would keep it from there.
-So where a fit ends above the noise one part after the other is tried softer and stiffer by decades, which
-costs two runs a part and no derivative; the fit goes on from what fits better.
+So where a fit ends above the noise one part after the other is tried softer and stiffer by decades, beyond
+and between those that tell nothing as well, which costs a few runs a part and no derivative; the fit goes on
+from what fits better.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
 
 from mphygs.fit.levenberg_marquardt import TOLERANCE, Solution, worth_a_step
 from mphygs.fit.problem import Evaluation, Problem
@@ -20,6 +24,9 @@ from mphygs.simulate.errors import SimulationError
 # A fit that leaves less [sigma] has no part so far from its modulus that it shows: other parts, or more
 # frames, would have to tell it.
 LEFT = 2.0
+# Decades in a row that are no better, and times the least cost that each of them may be, before a part is
+# left: far above its stiffness it is rigid, at one of them as at the next. Shares of a decade between two.
+PATIENCE, NO_WORSE, BETWEEN = 2, 1.25, (0.25, 0.5, 0.75)
 
 
 def on_by_part(
@@ -88,20 +95,35 @@ def _factors(stiffness: Parameter) -> list[float]:
 
 
 def _onward(problem: Problem, belief: Belief, key: str, factor: float, cost: float) -> tuple[float, Belief]:
-    """The lowest cost, and the belief there, with one stiffness times a factor, times its square and so on as
-    long as the cost falls."""
-    best = cost, belief
-    while True:
-        wide = best[1][key].widened()
-        value = min(max(wide.value * factor, wide.lower), wide.upper)
-        if value == wide.value:
-            return best
+    """The lowest cost, and the belief there, with one stiffness times a factor, times its square and so on,
+    until PATIENCE of them in a row were no better, one was worse, or none is left; and where they are much
+    the same, with one between them: half a swing fits into less than a decade."""
+    wide, best = belief[key].widened(), (cost, belief)
+
+    def tried(value: float) -> float:
+        nonlocal best
         own = replace(wide, value=value).narrowed(CONTRAST)
         trial = replace(belief, parameters=tuple(own if p.key == key else p for p in belief.parameters))
         try:
             reached = problem.evaluate(trial, jacobian=False).cost
         except SimulationError:
-            return best
-        if reached >= best[0]:
-            return best
-        best = reached, trial
+            return np.inf
+        best = (reached, trial) if reached < best[0] else best
+        return reached
+
+    passed, worse, level = [wide.value], 0, False
+    while worse < PATIENCE:
+        value = min(max(passed[-1] * factor, wide.lower), wide.upper)
+        if value == passed[-1]:
+            break
+        passed.append(value)
+        before = best[0]
+        reached = tried(value)
+        if reached >= NO_WORSE * before:
+            break
+        level, worse = True, 0 if reached < before else worse + 1
+    if level and cost < NO_WORSE * best[0]:
+        for one, other in pairwise(passed):
+            for share in BETWEEN:
+                tried(one ** (1.0 - share) * other**share)
+    return best
