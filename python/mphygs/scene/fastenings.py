@@ -1,9 +1,9 @@
 """Where sheets are fastened, and the shorter cells that they have there.
 
 Where a sheet is fastened over a part of its width it bends about that, which cells as long as the joint is
-wide cannot show. A petal 20 mm wide and fastened over 5 mm swings a quarter too fast on cells of 7 mm, and a
-tenth on 4 mm. With four cells across the joint and longer ones away from it, no more in all than the latter
-are, it is within 3 % (`benchmarks/thin/joint.py`).
+wide cannot show. Petals 20 mm wide and fastened over 5 mm swing a third too fast on cells of 7 mm, and an
+eighth on 4 mm. With four cells across the joint and longer ones away from it, fewer in all than the latter
+are, they are within 4 % (`benchmarks/thin/joint.py`).
 """
 
 from __future__ import annotations
