@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from mphygs.capture.meshes import Part
 from mphygs.scene.particles import hold_face
 from test_scene_particles import SHARED, box, practice, solid, turned
+from thin_meshes import rod, strip
 
 
 def test_a_clamped_end_has_one_face() -> None:
@@ -89,6 +91,22 @@ def test_silicone_beam_is_held_by_its_section() -> None:
     (face,) = hold_face([solid(trimesh.load(file))], hold, spacing=0.006)
     assert (face.axis, face.coordinate) == (0, -0.094)
     assert face.area.sum() == pytest.approx(9e-4, rel=1e-6)
+
+
+def test_a_face_along_a_sheet_has_no_more_points_than_its_width_asks_for() -> None:
+    """The hold's box ends in the middle of the sheet, over a quarter of its length."""
+    sheet = strip(length=0.03, width=0.02, thickness=3e-4)
+    faces = hold_face([sheet], np.array([[-1.0, -1.0, -1.0], [0.0, 1.0, 0.0]]), spacing=0.006)
+    along, across = (next(face for face in faces if face.axis == axis) for axis in (2, 0))
+    assert along.area.sum() == pytest.approx(0.01 * 0.02, rel=1e-9)
+    assert len(along.points) == 10 * 20
+    assert across.area.sum() == pytest.approx(0.02 * 1.5e-4, rel=1e-9)
+
+
+@pytest.mark.parametrize("part", [strip(thickness=3e-4), rod(radius=0.0015)], ids=["sheet", "rod"])
+def test_a_thin_section_has_some_points_across(part: Part) -> None:
+    (face,) = hold_face([part], np.array([[-1.0, -1.0, -1.0], [0.003, 1.0, 1.0]]), spacing=0.006)
+    assert len(np.unique(face.points[:, 2])) >= 4
 
 
 def test_bad_input_is_named() -> None:

@@ -59,9 +59,9 @@ def hold_face(
     if not np.all(high > low):
         return []
     if all(part.shape == "solid" for part in parts):
-        regions = [(low, high, spacing / SAMPLES_PER_SPACING, None)]
+        regions = [(low, high, None)]
     else:
-        regions = [(low, high, _step(part, spacing), number) for number, part in enumerate(parts)]
+        regions = [(low, high, number) for number in range(len(parts))]
     faces = []
     for axis in range(3):
         across = [other for other in range(3) if other != axis]
@@ -78,10 +78,14 @@ def hold_face(
     return faces
 
 
-def _step(part: Part, spacing: float) -> float:
-    """How far apart a part's samples may lie: what is thin has some across."""
+def _step(part: Part, spacing: float, axis: int, coordinate: float) -> float:
+    """How far apart a part's samples on a plane may lie: a section that is thin has some across. One along a
+    sheet is as wide as the sheet."""
     usual = spacing / SAMPLES_PER_SPACING
-    return usual if part.shape == "solid" else min(usual, 2.0 * part.volume / part.area / ACROSS)
+    if part.shape == "solid":
+        return usual
+    thickness = max(2.0 * part.volume / part.area, _section_thickness(part, axis, coordinate))
+    return min(usual, thickness / ACROSS)
 
 
 def _crossed(
@@ -94,10 +98,10 @@ def _crossed(
     spacing: float,
     low: np.ndarray,
     high: np.ndarray,
-    step: float,
     number: int | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Points, areas and parts where material crosses a plane between low and high, of one part or of all."""
+    step = spacing / SAMPLES_PER_SPACING
     if number is not None:
         section = _section_bounds(parts[number], axis, coordinate)
         if section is None:
@@ -105,6 +109,7 @@ def _crossed(
         low, high = np.maximum(low, section[0]), np.minimum(high, section[1])
         if not np.all(high[across] > low[across]):
             return None
+        step = _step(parts[number], spacing, axis, coordinate)
         step = max(step, float(np.sqrt((high - low)[across].prod() / _MOST)))
     points, area = _grid(parts, others, low, high, across, step)
     points[:, axis] = coordinate
@@ -137,6 +142,28 @@ def _section_bounds(part: Part, axis: int, coordinate: float) -> np.ndarray | No
     bounds = np.stack([place.min(axis=0), place.max(axis=0)])
     bounds[:, axis] = -np.inf, np.inf
     return bounds
+
+
+def _section_thickness(part: Part, axis: int, coordinate: float) -> float:
+    """Twice the area of a mesh's section with a plane over its outline's length [m], 0 without one."""
+    corners = part.vertices[part.faces]
+    above = corners[:, :, axis] >= coordinate
+    corners, above = corners[above.any(axis=1) & ~above.all(axis=1)], above[above.any(1) & ~above.all(1)]
+    if not len(corners):
+        return 0.0
+    after, row = np.roll(corners, -1, axis=1), np.arange(len(corners))
+    crossing = above ^ np.roll(above, -1, axis=1)
+    # The outline goes through a triangle from where its edges rise through the plane to where they sink.
+    outline = []
+    for way in (crossing & ~above, crossing & above):
+        edge = np.argmax(way, axis=1)
+        a, b = corners[row, edge], after[row, edge]
+        share = (coordinate - a[:, axis]) / (b - a)[:, axis]
+        outline.append(np.delete(a + share[:, None] * (b - a), axis, axis=1))
+    begin, end = outline
+    about = begin.mean(axis=0)
+    (x, y), (dx, dy) = (begin - about).T, (end - begin).T
+    return float(np.abs((x * dy - y * dx).sum()) / np.hypot(dx, dy).sum())
 
 
 def _grid(
