@@ -275,6 +275,20 @@ def test_what_a_part_cannot_be_is_refused(tmp_path: Path, more: dict[str, object
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        # A length in mm, which "scale" does not bring to metres, as wide as the sheet or more.
+        ({"thickness": 0.01, "scale": 1e-3}, r"part\.thickness: is 0\.01 m, of a sheet that is \S+ m wide"),
+        ({"thickness": 1e-5, "thickness_std": 2e-5, "scale": 1e-3}, r"m, of a part that is \S+ m thick"),
+    ],
+)
+def test_lengths_of_a_sheet_in_another_unit(tmp_path: Path, more: dict[str, object], message: str) -> None:
+    stored(tmp_path, bent_square())
+    with pytest.raises(CaptureError, match=message + r"; .*\(is it in m\?\)$"):
+        read_part(tmp_path, Entry({"name": "a", "mesh": "m.ply", **more}, "capture.json", "part"))
+
+
 def test_a_fine_mesh_that_goes_twice_round_its_volume_is_refused(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=5)
     # The same ball again, turned so that no triangle stands there twice, and sewn to it at one corner.

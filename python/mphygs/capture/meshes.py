@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,17 +75,27 @@ def read_part(folder: Path, entry: Entry) -> Part:
     if thickness := entry.get("thickness"):
         if shape == "rod":
             raise thickness.fault("a rod's mesh is closed", '"as": "shell" or "auto" beside it')
-        given = thickness.within(1e-7, 1.0, "a length above zero [m]")
-        vertices, faces = read_sheet(path, given / scale)
-        shape = "shell" if not entry.get("as") else shape
+        thick = thickness.within(1e-7, 1.0, "a length above zero [m]")
+        vertices, faces = read_sheet(path, thick / scale)
+        part = Part(name, vertices * scale, faces, shape=shape if entry.get("as") else "shell")
+        # Of a sheet w wide and t thick twice the volume over the area is w t / (w + t).
+        if 4.0 * part.volume < thick * part.area:
+            wide = 2.0 * part.volume / (part.area - 2.0 * part.volume / thick)
+            what = f"is {thick:g} m, of a sheet that is {wide:.2g} m wide"
+            raise thickness.fault(what, "less than its width (is it in m?)")
     else:
         vertices, faces = read_mesh(path)
-    unsure = 0.0
+        part = Part(name, vertices * scale, faces, shape=shape)
     if std := entry.get("thickness_std"):
-        if shape not in _THIN:
-            raise std.fault(f'the part is "as": "{shape}"', '"as": "rod" or "shell" beside it')
+        if part.shape not in _THIN:
+            raise std.fault(f'the part is "as": "{part.shape}"', '"as": "rod" or "shell" beside it')
         unsure = std.within(0.0, 1.0, "a length, zero or more [m]")
-    return Part(name=name, vertices=vertices * scale, faces=faces, shape=shape, thickness_std=unsure)
+        thick = (4.0 if part.shape == "rod" else 2.0) * part.volume / part.area
+        if unsure >= thick:
+            what = f"is {unsure:g} m, of a part that is {thick:.2g} m thick"
+            raise std.fault(what, "less than that (is it in m?)")
+        part = replace(part, thickness_std=unsure)
+    return part
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
