@@ -303,9 +303,17 @@ def ring() -> Part:
     return Part("part0", np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64), shape="rod")
 
 
+def beside() -> Part:
+    """Two strips in one plane, a cell apart."""
+    one = strip(0.03, 0.02)
+    both = np.concatenate([one.vertices, one.vertices + [0.0, 0.024, 0.0]])
+    return Part("part0", both, np.concatenate([one.faces, one.faces + len(one.vertices)]), shape="shell")
+
+
 @pytest.mark.parametrize(
     ("part", "expected"),
     [
+        (beside(), "several pieces"),
         (strip(0.01, 0.01, 0.009, held=0.0, shape="rod"), "two ends|a rod at least 3 times as long"),
         (ring(), "to a ring"),
         (folded(), "bends more sharply|folds onto itself|closes on itself"),

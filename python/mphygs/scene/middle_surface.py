@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
+import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
+from mphygs.capture.triangles import directed_edges
 from mphygs.scene.finer_meshes import finer
 
 if TYPE_CHECKING:
@@ -94,7 +96,10 @@ def _through(corners: np.ndarray, start: np.ndarray, direction: np.ndarray) -> n
 
 
 def middle_surface(part: Part) -> MiddleSurface:
-    """Of a sheet. Raises ValueError where the part has no two sides, or closes to a tube."""
+    """Of a sheet. Raises ValueError where it is of several pieces, has no two sides, or closes to a tube."""
+    piece = trimesh.graph.connected_component_labels(directed_edges(part.faces))[part.faces[:, 0]]
+    if np.ptp(piece) > 0:
+        raise ValueError(f"part '{part.name}': a sheet of several pieces, expected one, or \"as\": \"solid\"")
     found = chords(part)
     kept = found.length < _RIM * found.usual
     place = found.start[kept] - 0.5 * found.length[kept, None] * found.normal[kept]
