@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+import mphygs
 from mphygs.capture.document import Entry
 from mphygs.capture.errors import CaptureError
 from mphygs.capture.meshes import Part, read_mesh, read_part, write_mesh
+from thin_meshes import held_capture, strip
 
 
 def cube(centre: float = 0.0, size: float = 1.0) -> trimesh.Trimesh:
@@ -275,18 +278,44 @@ def test_what_a_part_cannot_be_is_refused(tmp_path: Path, more: dict[str, object
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_a_thickness_in_another_unit_is_refused(tmp_path: Path) -> None:
+    """A length in mm, which `scale` does not bring to metres, is wider than the sheet."""
+    stored(tmp_path, bent_square())
+    entry = Entry({"name": "a", "mesh": "m.ply", "thickness": 0.01, "scale": 1e-3}, "capture.json", "part")
+    with pytest.raises(CaptureError, match=r"thickness: is 0\.01 m, of a sheet that is \S+ m wide; .*in m\?"):
+        read_part(tmp_path, entry)
+
+
 @pytest.mark.parametrize(
-    ("more", "message"),
+    "more",
     [
-        # A length in mm, which "scale" does not bring to metres, as wide as the sheet or more.
-        ({"thickness": 0.01, "scale": 1e-3}, r"part\.thickness: is 0\.01 m, of a sheet that is \S+ m wide"),
-        ({"thickness": 1e-5, "thickness_std": 2e-5, "scale": 1e-3}, r"m, of a part that is \S+ m thick"),
+        {"shape": "Rod"},
+        {"shape": None},
+        {"shape": "shell", "thickness_std": float("nan")},
+        {"shape": "shell", "thickness_std": -1e-5},
+        {"shape": "shell", "thickness_std": "1e-5"},
+        {"thickness_std": 1e-5},
     ],
 )
-def test_lengths_of_a_sheet_in_another_unit(tmp_path: Path, more: dict[str, object], message: str) -> None:
-    stored(tmp_path, bent_square())
-    with pytest.raises(CaptureError, match=message + r"; .*\(is it in m\?\)$"):
-        read_part(tmp_path, Entry({"name": "a", "mesh": "m.ply", **more}, "capture.json", "part"))
+def test_a_part_of_arrays_is_what_it_may_be(more: dict) -> None:
+    with pytest.raises(ValueError, match=r"^part 'a': (shape|thickness_std) is .*; expected"):
+        Part("a", np.array(cube().vertices), np.array(cube().faces), **more)
+
+
+def test_a_capture_of_arrays_has_closed_meshes_and_a_thickness_that_can_be() -> None:
+    sheet = strip()
+    for part, message in (
+        (replace(sheet, faces=sheet.faces[:-1]), r'parts\[0\]\.mesh: part "part0" is not closed; expected'),
+        (replace(sheet, faces=sheet.faces[:, ::-1]), "encloses no volume, or is turned inward; expected"),
+        (replace(sheet, faces=sheet.faces[:0]), "has no triangles; expected"),
+        (replace(sheet, faces=sheet.faces + 1), "has faces with corners 1 to .*, of .* vertices; expected"),
+        (replace(sheet, vertices=sheet.vertices * np.nan), "has vertices that are not finite; expected"),
+        (replace(sheet, vertices=sheet.vertices[:, :2]), "has vertices of shape .*; expected"),
+        (replace(sheet, thickness_std=0.03), r"parts\[0\]\.thickness_std: is 0\.03 m, .* thick; expected"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            mphygs.Model.of(held_capture([part], markers=np.array([[0.1, 0.0, 0.0]])), spacing=0.02)
+        assert "\n" not in str(caught.value)
 
 
 def test_a_fine_mesh_that_goes_twice_round_its_volume_is_refused(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mphygs.api.calls import CaptureLike, RunLike, folder_of
 from mphygs.api.interface_errors import InputError, as_interface_errors
+from mphygs.capture.checks import check_capture
 from mphygs.capture.format import Capture, Markers, Sequence
 from mphygs.capture.format import load_capture as read_capture
 from mphygs.fit.of_run import experiment_of
@@ -54,7 +55,11 @@ class Model:
         spacing: of the grid [m], by default that of `fit`; dtype: of the simulation. Raises InputError.
         """
         with as_interface_errors():
-            own = capture if isinstance(capture, Capture) else read_capture(capture)
+            if isinstance(capture, Capture):
+                check_capture(capture)  # as what is read from a folder was
+                own = capture
+            else:
+                own = read_capture(capture)
             belief = starting_belief(own, prestress=prestress, law=law)
             width = default_spacing(own) if spacing is None else spacing
             check_spacing(own, width, "spacing")

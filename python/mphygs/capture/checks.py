@@ -9,6 +9,7 @@ from mphygs.capture.errors import CaptureError, fault
 from mphygs.capture.holds import Hold
 from mphygs.capture.markers import Markers
 from mphygs.capture.material_checks import check_load, check_material, check_names, span
+from mphygs.capture.meshes import Part, is_closed
 from mphygs.capture.overlap import distance_to_box, just_inside, winding_number
 from mphygs.capture.record import Capture, Sequence
 from mphygs.capture.sensor_checks import check_sensors
@@ -54,6 +55,8 @@ def _check_units(file: str, capture: Capture) -> None:
         _check_density(f"{file}: object.known.density.{name}", density)
     if not capture.parts:
         return
+    for index, part in enumerate(capture.parts):
+        _check_mesh(f"{file}: object.parts[{index}].mesh", part)
     size = capture.diagonal
     assert size is not None
     if not SIZE[0] <= size <= SIZE[1]:
@@ -75,6 +78,13 @@ def _check_units(file: str, capture: Capture) -> None:
                 f'part "{part.name}" is {thickness:.2g} m thick, 1/{part_size / thickness:.0f} of its size',
                 f"at least 1/{1 / THINNEST:.0f}, for no grid resolves less (are all axes in one unit?)",
             )
+        thickness *= 2.0 if part.shape == "rod" else 1.0
+        if part.thickness_std >= thickness:
+            raise fault(
+                f"{file}: object.parts[{index}].thickness_std",
+                f"is {part.thickness_std:g} m, of a part that is {thickness:.2g} m thick",
+                "less than that (is it in m?)",
+            )
     if known.mass is not None:
         volume = sum(part.volume for part in capture.parts)
         mean = known.mass / volume
@@ -91,6 +101,26 @@ def _check_units(file: str, capture: Capture) -> None:
                 f"{known.mass:g} kg is less than the {least:.3g} kg of the parts of known density",
                 "mass of the whole object",
             )
+
+
+def _check_mesh(where: str, part: Part) -> None:
+    """What a file's mesh is made sure of where it is read, for a mesh of arrays."""
+    vertices, faces = part.vertices, part.faces
+    what = None
+    if np.ndim(vertices) != 2 or np.shape(vertices)[1] != 3 or np.ndim(faces) != 2 or np.shape(faces)[1] != 3:
+        what = f"has vertices of shape {np.shape(vertices)} and faces of shape {np.shape(faces)}"
+    elif not len(faces):
+        what = "has no triangles"
+    elif faces.min() < 0 or faces.max() >= len(vertices):
+        what = f"has faces with corners {faces.min()} to {faces.max()}, of {len(vertices)} vertices"
+    elif not np.isfinite(vertices).all():
+        what = "has vertices that are not finite"
+    elif not is_closed(faces):
+        what = "is not closed"
+    elif not part.volume > 0.0:
+        what = "encloses no volume, or is turned inward"
+    if what is not None:
+        raise fault(where, f'part "{part.name}" {what}', "a closed mesh (V, 3), (F, 3), wound outward")
 
 
 def _check_owned(file: str, capture: Capture) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ class Part:
     standard deviation of where all of its surface lies along its normal [m], 0 where the mesh is given;
     shape: what it is simulated as, "solid", "rod", "shell" or "auto"; thickness_std: of a rod or a shell, how
     far its thickness may be from the mesh's, one standard deviation [m], 0 where it is known.
+    Raises ValueError for another shape, and for a thickness_std of what is neither a rod nor a shell.
     """
 
     name: str
@@ -43,6 +45,17 @@ class Part:
     boundary: float = 0.0
     shape: str = "solid"
     thickness_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.shape not in _SHAPES:
+            expected = ", ".join(_SHAPES)
+            raise ValueError(f"part '{self.name}': shape is {self.shape!r}; expected one of {expected}")
+        unsure = self.thickness_std
+        if not (isinstance(unsure, Real) and 0.0 <= unsure < np.inf):
+            raise ValueError(f"part '{self.name}': thickness_std is {unsure!r}; expected a length [m]")
+        if unsure > 0.0 and self.shape not in _THIN:
+            what = f"thickness_std is {unsure:g} m, of a part that is \"{self.shape}\""
+            raise ValueError(f"part '{self.name}': {what}; expected a rod or a shell")
 
     @property
     def area(self) -> float:
@@ -89,12 +102,7 @@ def read_part(folder: Path, entry: Entry) -> Part:
     if std := entry.get("thickness_std"):
         if part.shape not in _THIN:
             raise std.fault(f'the part is "as": "{part.shape}"', '"as": "rod" or "shell" beside it')
-        unsure = std.within(0.0, 1.0, "a length, zero or more [m]")
-        thick = (4.0 if part.shape == "rod" else 2.0) * part.volume / part.area
-        if unsure >= thick:
-            what = f"is {unsure:g} m, of a part that is {thick:.2g} m thick"
-            raise std.fault(what, "less than that (is it in m?)")
-        part = replace(part, thickness_std=unsure)
+        part = replace(part, thickness_std=std.within(0.0, 1.0, "a length, zero or more [m]"))
     return part
 
 
@@ -105,9 +113,9 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """
     expected = "a closed triangle mesh that trimesh reads (.ply, .stl, .obj, .off, ...)"
     vertices, faces = loaded(path, expected)
-    if not _is_closed(faces):
+    if not is_closed(faces):
         vertices, faces = merge(vertices, faces)
-    if not _is_closed(faces):
+    if not is_closed(faces):
         faces = _wind(path, vertices, faces)
     _check_twice(path, vertices, faces)
     faces = _turn_outward(path, vertices, faces)
@@ -130,7 +138,7 @@ def write_mesh(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     replace_file(path, header.encode("ascii") + vertices.astype("<f8").tobytes() + rows.tobytes())
 
 
-def _is_closed(faces: np.ndarray) -> bool:
+def is_closed(faces: np.ndarray) -> bool:
     """Whether every edge is walked as often one way as the other: no boundary, one winding.
 
     Edges shared by four faces, as where two voxels touch along one, are allowed.
@@ -157,7 +165,7 @@ def _wind(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     trimesh.repair.fix_winding(mesh)
     faces = np.array(mesh.faces, dtype=np.int64)
-    if not _is_closed(faces):
+    if not is_closed(faces):
         raise fault(str(path), "has no inside and outside: its faces cannot be wound alike", expected)
     return faces
 
