@@ -72,6 +72,8 @@ def alone(captures: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dic
         (["a", "--command", "fit", "--seeds", "1,1"], "--seeds: got '1,1'"),
         (["a", "--command", "diagnose", "--seeds", "1"], "diagnose has no seed"),
         (["a", "--command", "compare", "--each-effect", "b"], "compare takes no effects"),
+        (["a", "--command", "fit", "--each-effect", "b+"], "--each-effect: got 'b+'; expected names between"),
+        (["a", "--command", "fit", "--each-effect", "b+c,c+b"], "expected every choice of effects once"),
         (["a", "--command", "diagnose", "--each-effect", "b,c"], "writes into the folder"),
         (["a", "--command", "fit", "--threads", "0"], "--threads: got 0"),
         (["a", "--command", "fit", "--workers", "0"], "--workers: got 0"),

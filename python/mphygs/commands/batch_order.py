@@ -140,5 +140,12 @@ def _named(word: str) -> str | None:
 
 
 def effect_lists(text: str | None) -> tuple[str, ...]:
-    """What is to be added by each run: names separated by commas, those of one run joined by "+"."""
-    return split_names(text)
+    """What is to be added by each run: names separated by commas, those of one run joined by "+".
+    Raises OptionError for a name that is empty, and for what would be run twice."""
+    found = split_names(text)
+    sets = [frozenset(each.split("+")) for each in found]
+    if any("" in names or len(names) < len(each.split("+")) for names, each in zip(sets, found, strict=True)):
+        raise OptionError(f"--each-effect: got '{text}'; expected names between '+', each once")
+    if len(set(sets)) < len(sets):
+        raise OptionError(f"--each-effect: got '{text}'; expected every choice of effects once")
+    return found
