@@ -120,3 +120,16 @@ def test_one_part_has_one_grid_and_no_ties() -> None:
     assert not (body.geometry["row_hold"] < 0).any(), "one part has nothing to be tied to"
     assert body.geometry["grid_width"] == 0
     assert find_joints(capture.parts, spacing=SPACING) == []
+
+
+def test_a_part_that_hangs_on_nothing_is_refused() -> None:
+    capture = bar_capture(lengths=(0.034, 0.029, 0.02))
+    apart = replace(capture.parts[1], vertices=capture.parts[1].vertices + [0.0, 0.05, 0.0])
+    loose = replace(capture, parts=(capture.parts[0], apart, capture.parts[2]))
+    with pytest.raises(ValueError, match=r"^part 'part1' hangs on nothing: it is 0\.03 m from .*, expected"):
+        discretise(loose, hold_boxes(capture.sequences[0]), SPACING)
+    # The third one touched only the second; where nothing is held all of it flies.
+    behind = replace(capture, parts=(capture.parts[0], capture.parts[2]))
+    with pytest.raises(ValueError, match=r"^part 'part2' hangs on nothing: it is 0\.029 m from"):
+        discretise(behind, hold_boxes(capture.sequences[0]), SPACING)
+    discretise(loose, np.empty((0, 2, 3)), SPACING)

@@ -47,7 +47,8 @@ def discretise(
     boxes: (H, 2, 3) [m]; spacing: of the grids [m]; places: (K, 3) points for effects at a place [m];
     fitting: every part's grid fits its material (see `mphygs.scene.quadrature.fill_each`), else all stand
     alike.
-    Raises ValueError where a hold touches no free material or the spacing misses a part.
+    Raises ValueError where a hold touches no free material, the spacing misses a part, or a part hangs on
+    nothing.
     """
     parts = capture.parts
     faces = [
@@ -117,7 +118,7 @@ def discretise(
     geometry.update(_curved_nodes(quadrature.charts, width))
     body = Body(quadrature, geometry, boxes, tuple(p.name for p in parts), centroid, parts)
     geometry.update(_surface(body, boxes, spacing))
-    geometry.update(constraint_rows(body, faces, spacing))
+    geometry.update(constraint_rows(body, faces, spacing, carried=fitting))
     geometry["hold_centre"] = boxes.mean(axis=1)
     if places is not None and len(places):
         geometry["places"] = np.asarray(places, float)

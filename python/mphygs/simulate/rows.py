@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from mphygs.scene.particles import HoldFace, find_joints
+from mphygs.scene.closest import closest_on_mesh
+from mphygs.scene.particles import HoldFace, Joint, find_joints
 from mphygs.simulate.joint_constraints import tie_rows
 
 if TYPE_CHECKING:
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 LEAST_TRACE = 1e-4
 
 
-def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: float) -> dict:
+def constraint_rows(
+    body: Body, faces: Sequence[Sequence[HoldFace]], spacing: float, *, carried: bool = True
+) -> dict:
     """Rows of the holds: the trace of the spline on every held face moves with the hold.
 
     On a plane across an axis the trace has one coefficient for each column of nodes; a rigid motion
@@ -26,8 +29,9 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
     in the plane; on a curved grid the trace's patterns move with the hold. Below them the rows that tie the
     parts' grids, numbered -1, -2, ... by joint in `row_hold`.
 
-    faces: of every hold (see `hold_face`); spacing: that the grids were made for [m].
-    Raises ValueError where a hold touches no free material.
+    faces: of every hold (see `hold_face`); spacing: that the grids were made for [m]; carried: whether every
+    part has to hang together with one that a hold grips, where there is any hold.
+    Raises ValueError where a hold touches no free material, or a part is not carried.
     """
     q = body.quadrature
     steps = np.indices((3, 3, 3)).reshape(3, -1).T - 1
@@ -80,7 +84,7 @@ def constraint_rows(body: Body, faces: Sequence[Sequence[HoldFace]], spacing: fl
                 f"hold {index}: its box {body.boxes[index].tolist()} has no face with free material "
                 "beyond it, expected a box that holds a part of the object and leaves the rest free"
             )
-    for joint, nodes, values in _ties(body, faces, spacing):
+    for joint, nodes, values in _ties(body, faces, spacing, carried):
         node += nodes.tolist()
         weight += values.tolist()
         begin.append(len(weight))
@@ -126,7 +130,7 @@ def _curved_hold(
 
 
 def _ties(
-    body: Body, faces: Sequence[Sequence[HoldFace]], spacing: float
+    body: Body, faces: Sequence[Sequence[HoldFace]], spacing: float, carried: bool
 ) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """Rows of the joints between parts that both have free material."""
     cells = body.cells_of_part
@@ -143,8 +147,25 @@ def _ties(
         )
         if set(joint.parts) <= set(cells)
     ]
+    if carried and grounded:
+        _check_carried(body, joints, grounded, spacing)
     weights = [tuple(_carried_by(body, joint.points, p) for p in joint.parts) for joint in joints]
     return tie_rows(joints, weights, spacing)
+
+
+def _check_carried(body: Body, joints: Sequence[Joint], grounded: Sequence[int], spacing: float) -> None:
+    """Raises ValueError for a part that hangs together with none that a hold grips."""
+    reached, found = set(grounded), set()
+    while reached != found:
+        found = set(reached)
+        reached |= {part for joint in joints if reached & set(joint.parts) for part in joint.parts}
+    for number in sorted(set(body.cells_of_part) - reached):
+        part, others = body.parts[number], [body.parts[p] for p in sorted(reached)]
+        gap = min(closest_on_mesh(p.vertices, p.faces, part.vertices)[1].min() for p in others)
+        raise ValueError(
+            f"part '{part.name}' hangs on nothing: it is {gap:.2g} m from what holds carry, expected meshes "
+            f"that touch, or are less than a cell of {spacing:.3g} m apart, or a hold of its own"
+        )
 
 
 def _carried_by(body: Body, points: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
