@@ -97,7 +97,7 @@ def fastening(surface: MiddleSurface, points: np.ndarray) -> Fastening:
 def grading(
     parts: Sequence[Part], number: int, usual: float, gripped: Sequence[np.ndarray] = ()
 ) -> Grading | None:
-    """Of one part, as a sheet; None where it has no two sides or is fastened nowhere.
+    """Of one part, as a sheet; None where it has no two sides, or no place that asks for shorter cells.
 
     usual: default spacing of the object [m]; gripped: for each hold places (n, 3) where it grips the part.
     """
@@ -107,8 +107,10 @@ def grading(
         return None
     joints = [joint.points for joint in _joints(tuple(parts)) if number in joint.parts]
     places = [*joints, *(points for points in gripped if len(points))]
-    found = tuple(fastening(surface, points) for points in places)
-    return Grading(usual, found, float(np.median(surface.thickness))) if found else None
+    least = float(np.median(surface.thickness))
+    found = [fastening(surface, points) for points in places]
+    shorter = tuple(one for one in found if max(one.width / ACROSS, least) < usual)
+    return Grading(usual, shorter, least) if shorter else None
 
 
 @lru_cache(maxsize=256)
