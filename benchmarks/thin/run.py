@@ -33,7 +33,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=121)
     parser.add_argument("--petals", type=int, default=6)
-    parser.add_argument("--spacing", type=float, default=0.006, help="[m]")
+    parser.add_argument("--spacing", type=float, default=0.01, help="[m]")
     given = parser.parse_args()
     fps, parts = 60.0, thin_flower(petals=given.petals, thickness=3e-4).parts
     times = np.arange(given.frames) / fps

@@ -10,7 +10,7 @@ import numpy as np
 
 from mphygs.api.calls import CaptureLike, RunLike, folder_of
 from mphygs.api.interface_errors import InputError, as_interface_errors
-from mphygs.capture.checks import check_capture
+from mphygs.capture.checks import check_object
 from mphygs.capture.format import Capture, Markers, Sequence
 from mphygs.capture.format import load_capture as read_capture
 from mphygs.fit.of_run import experiment_of
@@ -56,7 +56,7 @@ class Model:
         """
         with as_interface_errors():
             if isinstance(capture, Capture):
-                check_capture(capture)  # as what is read from a folder was
+                check_object(capture)  # as what is read from a folder was
                 own = capture
             else:
                 own = read_capture(capture)

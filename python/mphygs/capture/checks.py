@@ -24,11 +24,9 @@ GRAVITY = 300.0  # [m/s^2]; more is another unit than m/s^2
 
 def check_capture(capture: Capture) -> None:
     """Raise CaptureError at the first thing that contradicts another or cannot be in SI units."""
+    check_object(capture)
     file = str(capture.folder / "capture.json")
-    check_names(f"{file}: object.parts", [part.name for part in capture.parts], dots=False)
     check_names(f"{file}: sequences", [sequence.name for sequence in capture.sequences], dots=True)
-    _check_units(file, capture)
-    _check_owned(file, capture)
     for index, sequence in enumerate(capture.sequences):
         where = f"{file}: sequences[{index}]"
         _check_measured(where, sequence)
@@ -42,6 +40,14 @@ def check_capture(capture: Capture) -> None:
             _check_markers(f"{where}.markers", capture, sequence, sequence.markers)
             _check_tracks(f"{where}.markers", capture, sequence, sequence.markers)
         check_sensors(where, capture, sequence)
+
+
+def check_object(capture: Capture) -> None:
+    """The same of what the object is, whatever was measured of it."""
+    file = str(capture.folder / "capture.json")
+    check_names(f"{file}: object.parts", [part.name for part in capture.parts], dots=False)
+    _check_units(file, capture)
+    _check_owned(file, capture)
 
 
 def _check_units(file: str, capture: Capture) -> None:
