@@ -19,6 +19,7 @@ from mphygs.batch.work import Outcome, Task
 SCRIPTS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
+@pytest.mark.slow
 def test_the_benchmark_of_hidden_effects_judges_a_null(tmp_path: Path) -> None:
     command = [sys.executable, str(SCRIPTS / "hidden_effects" / "run.py"), "--cases", "null-white"]
     command += ["--seeds", "0", "--workers", "1", "--out", str(tmp_path), "--json"]

@@ -219,6 +219,7 @@ def test_parts_of_the_method_can_be_left_out(
     assert found["sequences"]["frog"]["fit"]["psnr"] > 10.0
 
 
+@pytest.mark.slow
 def test_homogeneous_has_one_material(
     capture: Path, stages: Path, fitted: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

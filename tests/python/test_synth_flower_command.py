@@ -11,6 +11,7 @@ SMALL = ["--size", "32", "--rest-views", "4", "--cameras", "2", "--frames", "8",
 COARSE = ["--spacing-share", "1.9"]
 
 
+@pytest.mark.slow
 def test_one_command_makes_several_species(tmp_path, capsys) -> None:
     out = tmp_path / "flowers"
     asked = ["flower", "--out", str(out), "--species", "buttercup", "--species", "crocus", "--noise", "0.02"]
