@@ -29,7 +29,7 @@ from mphygs.synth.thin_shapes import thin_flower
 def main() -> None:
     """Prints a row for each spacing."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--spacings", type=float, nargs="+", default=[0.01, 0.0076, 0.0059, 0.0045, 0.003])
+    parser.add_argument("--spacings", type=float, nargs="+", default=[0.01, 0.0078, 0.0061, 0.0045, 0.003])
     parser.add_argument("--petals", type=int, default=6)
     given = parser.parse_args()
     shape = thin_flower(petals=given.petals)

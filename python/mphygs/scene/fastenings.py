@@ -109,7 +109,10 @@ def grading(
     places = [*joints, *(points for points in gripped if len(points))]
     least = float(np.median(surface.thickness))
     found = [fastening(surface, points) for points in places]
-    shorter = tuple(one for one in found if max(one.width / ACROSS, least) < usual)
+    # One that is narrower than the widest one's cells are long carries little beside it: meshes that overlap
+    # touch at many small places.
+    carries = max((one.width for one in found), default=0.0) / ACROSS
+    shorter = tuple(one for one in found if one.width > carries and max(one.width / ACROSS, least) < usual)
     return Grading(usual, shorter, least) if shorter else None
 
 
@@ -121,6 +124,6 @@ def middle_surface_of(part: Part) -> MiddleSurface:
 
 @lru_cache(maxsize=64)
 def _joints(parts: tuple[Part, ...]) -> tuple[Joint, ...]:
-    """Of all parts. Where they touch depends on no grid: so finely as shows the usual part's sides."""
+    """Of all parts. Where they touch depends on no grid: so finely as tells how wide the usual joint is."""
     side = float(np.median([np.sqrt(part.area / 2.0) for part in parts]))
-    return tuple(find_joints(parts, spacing=side / ACROSS))
+    return tuple(find_joints(parts, spacing=side / 2.0))
