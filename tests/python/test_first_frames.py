@@ -108,6 +108,7 @@ def seen(capture: Capture, position: np.ndarray, seed: int = 0) -> Capture:
     return replace(capture, sequences=(replace(recording, markers=markers),))
 
 
+@pytest.mark.slow
 def test_noise_places_stated_wrong_a_wrong_scale_and_lost_markers_are_no_start() -> None:
     capture, position = shaken()
     generator = np.random.default_rng(1)

@@ -126,7 +126,10 @@ def small_fit(**options: object) -> tuple[Problem, Belief]:
     return problem, start
 
 
-@pytest.mark.parametrize(("method", "iterations", "excess"), [("adam", 150, 0.5), ("lbfgs", 30, 0.05)])
+@pytest.mark.parametrize(
+    ("method", "iterations", "excess"),
+    [pytest.param("adam", 150, 0.5, marks=pytest.mark.slow), ("lbfgs", 30, 0.05)],
+)
 def test_both_methods_reach_the_gauss_newton_minimum(method: str, iterations: int, excess: float) -> None:
     problem, start = small_fit()
     exact = minimise(problem, start, tolerance=1e-6, relative_tolerance=1e-9)

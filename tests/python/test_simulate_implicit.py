@@ -222,6 +222,7 @@ def test_fit_finds_the_modulus_of_a_stiff_stem(fitted: dict) -> None:
     assert json.loads((fitted["run"] / "run.json").read_text())["settings"]["integrator"] == "implicit"
 
 
+@pytest.mark.slow
 def test_the_commands_go_on_with_implicit_steps(fitted: dict) -> None:
     before = fitted["answer"]["sequences"]["a"]["predict"]["rms"]
     assert before < 1.2 * SIGMA * np.sqrt(3.0)  # of all three components
