@@ -1,6 +1,7 @@
 """How the slowest motions of a flower depend on the cells where its petals are fastened to the head.
 
     python benchmarks/thin/joint.py
+    python benchmarks/thin/joint.py --even --spacings 0.01 0.0068 0.004 0.003 # of one length
     python benchmarks/thin/joint.py --petals 1 --spacings 0.004 0.002
 
 The petals of `mphygs synth thin-flower` are 20 mm wide and fastened over 5 mm; where they overlap they are
@@ -20,6 +21,7 @@ from mphygs.capture.markers import Markers
 from mphygs.capture.record import Known
 from mphygs.capture.record import Sequence as Recording
 from mphygs.fit.start import starting_belief
+from mphygs.simulate import discretisation
 from mphygs.simulate.modes import natural_modes
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
@@ -31,7 +33,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--spacings", type=float, nargs="+", default=[0.01, 0.0078, 0.0061, 0.0045, 0.003])
     parser.add_argument("--petals", type=int, default=6)
+    parser.add_argument("--even", action="store_true", help="no shorter cells where sheets are fastened")
     given = parser.parse_args()
+    if given.even:
+        discretisation.grading = lambda *_: None
     shape = thin_flower(petals=given.petals)
     place = shape.tip[None]
     markers = Markers(np.tile(place, (2, 1, 1)), place, 1e-4)

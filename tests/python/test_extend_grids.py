@@ -215,6 +215,8 @@ def test_missing_physics_stays_on_a_finer_grid_and_the_grids_error_falls(hidden:
     # What is missing would stay on an ever finer grid, the grid's own error falls.
     assert coarse.excess_beyond is None
     assert (once.excess_beyond > excess(once.assessment)) is (hidden > 0.0)
+    # Of another model, an effect less say, nothing is known of an ever finer grid.
+    assert once.refitted(coarse.solution, coarse.compared, coarse.assessment).excess_beyond is None
     fine = finer_grid.on_finer_grid(experiment, once)
     assert fine.stays is (hidden > 0.0)
     if hidden:

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from mphygs.capture.format import Capture
-from mphygs.capture.holds import Hold
-from mphygs.capture.markers import Markers
+from bar_capture import bar_belief
 from mphygs.capture.meshes import Part
-from mphygs.capture.record import Known
-from mphygs.capture.record import Sequence as Recording
-from mphygs.fit.start import starting_belief
 from mphygs.scene.curved_quadrature import lay_chart
 from mphygs.scene.fastenings import ACROSS, GROWTH, Fastening, Grading, grading
 from mphygs.scene.spacing_worth import spacing_worth, usual_spacing
@@ -21,6 +14,7 @@ from mphygs.simulate.modes import natural_modes
 from mphygs.simulate.prediction import Predictor
 from mphygs.simulate.settings import Settings
 from mphygs.synth.thin_shapes import sheet_mesh, strip, thin_flower
+from thin_meshes import held_capture
 
 USUAL, WIDTH, THICKNESS = 0.006, 0.008, 3e-4
 
@@ -86,18 +80,30 @@ def test_a_grip_over_a_corner_has_cells_across_it() -> None:
     assert 0.01 < length.max() < 0.0115 and length.min() < 1.25 * 0.008 / ACROSS
 
 
+def test_small_places_beside_a_wide_one_ask_for_nothing() -> None:
+    """Meshes that overlap touch at many."""
+    part = strip().parts[0]
+    across = np.stack([np.zeros(9), np.linspace(-0.004, 0.004, 9), np.zeros(9)], axis=1)
+    spots = [0.1 * across + [x, 0.0, 0.0] for x in (0.02, 0.04, 0.06)]
+    wide, all_of_them = (grading([part], 0, 0.01, grips) for grips in ([across], [across, *spots]))
+    assert [one.width for one in all_of_them.fastened] == [one.width for one in wide.fastened]
+    alone = grading([part], 0, 0.01, spots)
+    assert len(alone.fastened) == 3
+
+
+def test_the_default_spacing_makes_up_for_cells_at_fastenings() -> None:
+    parts = thin_flower(petals=2).parts
+    spacing, usual = spacing_worth(parts, 250), usual_spacing(parts)
+    assert 1.05 * spacing < usual < 2.0**0.5 * spacing
+
+
 def test_petals_swing_as_on_fine_cells() -> None:
     """Two petals 20 mm wide, fastened over 5 mm: on even cells of 4.5 mm they swing a third too fast."""
     shape = thin_flower(petals=2)
-    place = shape.tip[None]
-    markers = Markers(np.tile(place, (2, 1, 1)), place, 1e-4)
-    recording = Recording("a", 60.0, 2, held=(Hold(shape.hold, None, None),), markers=markers)
-    known = Known(density=shape.density, poissons_ratio=0.3)
-    capture = Capture("flower", Path("."), np.zeros(3), shape.parts, "stress-free", known, (recording,))
-    belief = starting_belief(capture)
-    for name, modulus in shape.youngs_modulus.items():
-        belief = belief.with_parameter(f"{name}.youngs_modulus", value=modulus, lower=1e3, upper=1e10)
-    predictor = Predictor(capture, recording, Settings(0.0045, dtype="float64", workers=1))
+    capture = held_capture(shape.parts, box=shape.hold)
+    moduli, density = (list(each.values()) for each in (shape.youngs_modulus, shape.density))
+    belief = bar_belief(capture, youngs_modulus=moduli, density=density, poissons_ratio=0.3)
+    predictor = Predictor(capture, capture.sequence("a"), Settings(0.0045, dtype="float64", workers=1))
     found = np.sqrt(natural_modes(predictor, belief, 4).squared) / (2.0 * np.pi)
     # On cells of 2 mm, and as much shorter at the joints.
     assert found == pytest.approx([2.97, 2.99, 8.59, 8.94], rel=0.06)

@@ -87,9 +87,10 @@ def _may_lead(rival: Step, best: Step) -> bool:
     return does_alike(rival, best) and _order(rival) < _order(best)
 
 
-def _order(step: Step) -> tuple[int, float]:
-    """Of models that do alike the one with fewest parameters comes first, then the one that explains most."""
-    return step.belief.numbers, excess(step.assessment)
+def _order(step: Step, left: Callable[[Step], float] = excess_on_its_grid) -> tuple[int, float]:
+    """Of models that do alike the one with fewest parameters comes first, then the one that explains most.
+    left: the excess of a step."""
+    return step.belief.numbers, left(step)
 
 
 def _nearest(problem: Problem, rival: Step, best: Step) -> Step | None:
@@ -174,7 +175,7 @@ def best_of_rivals(
     if beaten and not _takes_the_grids(best, alike[0]):
         best, alike = alike[0], [best, *alike[1:]]
     tied = [best, *(r for r in alike if does_alike(r, best, left=left))]
-    tied.sort(key=lambda step: (step.belief.numbers, left(step)))
+    tied.sort(key=lambda step: _order(step, left))
     named = dict.fromkeys((*(r.added[0] for r in tied[1:]), *(name for r in tied for name in r.ties)))
     chosen = replace(tied[0], ties=tuple(name for name in named if name not in tied[0].added))
     return complete(experiment, chosen, screening=screening)

@@ -70,14 +70,15 @@ class Step:
     def refitted(
         self, solution: Solution, compared: dict[str, Compared], assessment: Assessment, **changes: object
     ) -> Step:
-        """The step with its model fitted anew. changes: to its other fields."""
+        """The step with its model fitted anew; what was asked of it before does not hold any more.
+        changes: to its other fields."""
         return replace(
             self,
             belief=solution.belief,
             solution=solution,
             compared=compared,
             assessment=assessment,
-            **({"limits": None, "change": None} | changes),
+            **({"limits": None, "change": None, "excess_beyond": None} | changes),
         )
 
     @property

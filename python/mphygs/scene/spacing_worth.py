@@ -19,8 +19,9 @@ DEFAULT_CELLS = 250
 def usual_spacing(parts: Sequence[Part]) -> float:
     """The spacing that gives parts about DEFAULT_CELLS full cells of material [m], two digits.
 
-    Sheets that are fastened over a part of their width have shorter cells there (see `Grading`): the spacing
-    is larger by as much as makes up for them, at the least.
+    Sheets that are fastened over a part of their width have shorter cells there (see `Grading`). The spacing
+    is larger by the square root of how many times as many cells the object has by that: it makes up for a
+    part of them, for there are hardly fewer of the shorter ones on a coarser grid.
     """
     return _usual_spacing(tuple(parts))
 
