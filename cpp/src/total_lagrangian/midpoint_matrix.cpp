@@ -4,7 +4,18 @@
 #include <cmath>
 #include <map>
 
+#include "mphygs/numerics/polar.hpp"
+
 namespace mphygs {
+
+Mat3<double> nearest_turn(const Mat3<double>& sum) {
+    constexpr double least = 0.01;  // of the determinant, over that of rotations of the same size that do not cancel
+    double squares = 0;
+    for (int i = 0; i < 3; ++i) {
+        squares += sum[i][0] * sum[i][0] + sum[i][1] * sum[i][1] + sum[i][2] * sum[i][2];
+    }
+    return determinant(sum, cofactor(sum)) > least * std::pow(squares / 3.0, 1.5) ? polar_rotation(sum) : Mat3<double>::identity();
+}
 
 MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t>& node, const std::vector<CellNodes>& cells, std::vector<double> mass,
                                const Eigen::SparseMatrix<double>& shared) {
@@ -48,6 +59,9 @@ MidpointMatrix::MidpointMatrix(const Geometry& g, const std::vector<std::int32_t
     for (int i = first_row; i < all; ++i) {
         entries.emplace_back(i, i, 0.0);
     }
+    row_begin_.assign(g.row_begin.begin(), g.row_begin.end());
+    row_node_.assign(node.begin(), node.end());
+    row_weight_.assign(g.row_weight.begin(), g.row_weight.end());
     rows_.resize(all - first_row, first_row);
     rows_.setFromTriplets(rows.begin(), rows.end());
     matrix_.resize(all, all);
@@ -140,18 +154,52 @@ bool MidpointMatrix::factorise() {
     return std::isfinite(largest) && solver_.factorise(matrix_);
 }
 
+void MidpointMatrix::made_at(NodeTurns turns) {
+    made_ = std::move(turns);
+    turns_.clear();
+    row_turns_.clear();
+}
+
+void MidpointMatrix::used_at(const NodeTurns& turns) {
+    turns_.resize(turns.size());
+    for (std::size_t n = 0; n < turns.size(); ++n) {
+        turns_[n] = turns[n] * transpose(made_[n]);
+    }
+    row_turns_.assign(static_cast<std::size_t>(rows_.rows() / 3), Mat3<double>{});
+    for (std::size_t r = 0; r < row_turns_.size(); ++r) {
+        for (int w = row_begin_[r]; w < row_begin_[r + 1]; ++w) {
+            const std::size_t at = static_cast<std::size_t>(w);
+            row_turns_[r] = row_turns_[r] + std::abs(row_weight_[at]) * turns_[static_cast<std::size_t>(row_node_[at])];
+        }
+        row_turns_[r] = nearest_turn(row_turns_[r]);
+    }
+}
+
+Eigen::MatrixXd MidpointMatrix::turned(const NodeTurns& turns, const Eigen::MatrixXd& x, bool back) {
+    Eigen::MatrixXd to = x;
+    for (std::size_t n = 0; n < turns.size(); ++n) {
+        const Eigen::Matrix3d own = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(&turns[n].e[0][0]);
+        const Eigen::Index at = static_cast<Eigen::Index>(3 * n);
+        for (Eigen::Index k = 0; k < x.cols(); ++k) {
+            const Eigen::Vector3d of = x.block<3, 1>(at, k);
+            to.block<3, 1>(at, k) = back ? Eigen::Vector3d(own.transpose() * of) : Eigen::Vector3d(own * of);
+        }
+    }
+    return to;
+}
+
 Eigen::MatrixXd MidpointMatrix::solve(const Eigen::MatrixXd& b) const {
     Eigen::MatrixXd right(matrix_.rows(), b.cols());
-    right.topRows(nodes3()) = mass_.asDiagonal() * b;
-    right.bottomRows(rows_.rows()) = rows_ * b;
-    return solver_.solve_all(right).topRows(nodes3());
+    right.topRows(nodes3()) = mass_.asDiagonal() * turned(turns_, b, true);
+    right.bottomRows(rows_.rows()) = turned(row_turns_, rows_ * b, true);
+    return turned(turns_, solver_.solve_all(right).topRows(nodes3()), false);
 }
 
 Eigen::VectorXd MidpointMatrix::solve_transposed(const Eigen::VectorXd& b) const {
     Eigen::VectorXd right = Eigen::VectorXd::Zero(matrix_.rows());
-    right.head(nodes3()) = b;
+    right.head(nodes3()) = turned(turns_, b, true);
     const Eigen::VectorXd x = solver_.solve_transposed(right);
-    return mass_.cwiseProduct(x.head(nodes3())) + rows_.transpose() * x.tail(rows_.rows());
+    return turned(turns_, mass_.cwiseProduct(x.head(nodes3())), false) + rows_.transpose() * turned(row_turns_, x.tail(rows_.rows()), false);
 }
 
 }  // namespace mphygs

@@ -102,7 +102,7 @@ template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 100, patience = 25;
-    constexpr double few = 10.0;  // times round-off, which is measured once and not alike each time
+    constexpr double few = 3.0;  // times round-off, which is not alike each time
     value_.solve_midpoint(n, frame, time, dt);
     value_.stand_at_middle();
     MidpointState<T>& m = *value_.midpoint_;
@@ -121,13 +121,13 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
     history0_ = history_;
     refresh(middle, rule.elapsed * dt);
     added0_ = added_;
+    m.matrix.used_at(value_.turns_at_middle());
     Eigen::MatrixXd x = velocities();
     const std::size_t count = directions_.size();
     std::vector<Anderson> mixed(count, Anderson(m.matrix.weight(), 20));
     std::vector<double> before(count, std::numeric_limits<double>::infinity());
     // The map is b + L x: what a multiple of x changes beside the same multiple of that change is round-off, of terms that
     // cancel, as those of a modulus and of the rest shape that goes with it do where nothing moves.
-    std::vector<double> noise;
     const auto round_off = [&](const Eigen::MatrixXd& at, const Eigen::MatrixXd& mapped) {
         const double more = 0.1;
         const auto map = [&](const Eigen::MatrixXd& of) {
@@ -136,8 +136,9 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
         };
         const Eigen::MatrixXd further = map((1.0 + more) * at), none = map(Eigen::MatrixXd::Zero(at.rows(), at.cols()));
         const Eigen::MatrixXd left = m.matrix.solve(further - (1.0 + more) * mapped + more * none);
+        m.noises.resize(count);
         for (std::size_t k = 0; k < count; ++k) {
-            noise.push_back(few * m.matrix.size(left.col(static_cast<Eigen::Index>(k))));
+            m.noises[k] = std::max(m.noises[k], m.matrix.size(left.col(static_cast<Eigen::Index>(k))));
         }
     };
     bool fresh = false, settled = false;
@@ -156,14 +157,13 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
             const double size = m.matrix.size(d.col(column)), moves = m.matrix.size(x.col(column) + d.col(column));
             // A correction says how far x was off; what is left after it is as much smaller again.
             const double rate = std::isfinite(before[k]) ? std::min(1.0, size / before[k]) : 1.0;
-            const bool good = size * rate <= Tolerance::linear * moves || (rate > 0.5 && size <= Tolerance::linear_loose * moves) ||
-                              (!noise.empty() && size <= noise[k]);
+            const bool good = size * rate <= Tolerance::linear * moves || (!m.noises.empty() && size <= few * m.noises[k]);
             settled = settled && good;
             stalled = stalled || (!good && rate > 0.5);
             before[k] = size;
             x.col(column) = mixed[k].next(x.col(column), d.col(column));
         }
-        if (stalled && i > 0 && noise.empty()) {
+        if (stalled && i > 0) {
             round_off(at, mapped);
         }
         if (!x.allFinite() || i == most) {
@@ -174,7 +174,7 @@ inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, dou
             throw error;
         }
         if (i == patience && !fresh) {
-            m.refresh(middle, rule.elapsed * dt, rule.span * dt);
+            value_.refresh_midpoint(middle, rule.elapsed * dt, rule.span * dt);
             fresh = true;
             for (Anderson& a : mixed) {
                 a.forget();

@@ -26,7 +26,6 @@ inline void TotalLagrangianRun<T, K>::prepare_midpoint() {
     std::vector<double> mass(mass_.begin(), mass_.begin() + static_cast<std::ptrdiff_t>(model_.node_count()));
     midpoint_ = std::make_unique<MidpointState<T>>(
         MidpointMatrix(model_.geometry_, model_.constraint_node_, model_.coupled_nodes(), std::move(mass), shared_mass_.template cast<double>()), model_.rows_.size());
-    midpoint_->length = prestressed_ ? model_.extent() : model_.geometry_.spacing[0];
     midpoint_->assembly = model_.midpoint_assembly(*inputs_.primal, schedule_, *team_);
 }
 
@@ -89,12 +88,41 @@ inline void TotalLagrangianRun<T, K>::stand_at_middle() {
     history_ = midpoint_->history0;
 }
 
+template <class T, int K>
+inline NodeTurns TotalLagrangianRun<T, K>::turns_at_middle() const {
+    NodeTurns sums(model_.node_count());
+    for (std::size_t b = 0; b < model_.rows_.size(); ++b) {
+        const Rows& rows = *reinterpret_cast<const Rows*>(model_.rows_[b].data());
+        const Mat3<Pack<T>> gradient = gather_gradient<T>(midpoint_->place.data(), stride_, rows, model_.gradients_[static_cast<std::size_t>(model_.table_[b])]);
+        Mat3<double> own = 8.0 * Mat3<double>::identity();
+        for (int q = 0; q < 8; ++q) {
+            for (int i = 0; i < 9; ++i) {
+                own[i / 3][i % 3] += static_cast<double>(gradient[i / 3][i % 3][q]);
+            }
+        }
+        for (int a = 0; a < 27; ++a) {
+            Mat3<double>& sum = sums[static_cast<std::size_t>(node_of<T>(rows, a))];
+            sum = sum + own;
+        }
+    }
+    for (Mat3<double>& sum : sums) {
+        sum = nearest_turn(sum);
+    }
+    return sums;
+}
+
+template <class T, int K>
+inline void TotalLagrangianRun<T, K>::refresh_midpoint(double time, double elapsed, double span) {
+    midpoint_->refresh(time, elapsed, span);
+    midpoint_->matrix.made_at(turns_at_middle());
+}
+
 /// Finds the middle of a step: velocity, forces, what the holds give and what the effects remember then.
 template <class T, int K>
 inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 200, patience = 30;
-    constexpr double overshoot = 0.9, shortest = 1e-3, nearly_singular = 0.1;
+    constexpr double overshoot = 0.9, shortest = 1e-3, nearly_singular = 0.1, few = 3.0;
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
     const SubstepRule rule = this->rule(n);
@@ -112,7 +140,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
     m.history0 = history_;
     m.mixed.forget();
     const std::vector<T> start_u = u_, start_v = v_;
-    const double spread = m.matrix.size(by_node(u_)) + m.length, infinite = std::numeric_limits<double>::infinity();
+    const double infinite = std::numeric_limits<double>::infinity();
     const auto rest_at = [&](const Eigen::VectorXd& at) -> Eigen::VectorXd {
         midpoint_map(at, n, frame, time, dt);
         return by_node(v_) - at;
@@ -121,7 +149,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         place.swap(m.place);
         velocity.swap(m.middle);
         try {
-            m.refresh(time + rule.at * dt, rule.elapsed * dt, rule.span * dt);
+            refresh_midpoint(time + rule.at * dt, rule.elapsed * dt, rule.span * dt);
         } catch (SimulationError& error) {
             error.frame = frame + 1;
             error.shorter = true;
@@ -130,15 +158,27 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         place.swap(m.place);  // the middle stays what it was last taken to be
         velocity.swap(m.middle);
     };
+    // What a correction becomes of places that are rounded in their last digit.
+    const auto round_off = [&](Eigen::VectorXd at, const Eigen::VectorXd& rest) {
+        const double digit = Tolerance::round_off / (rule.span * dt), least = model_.geometry_.spacing[0];
+        const Eigen::VectorXd place = by_node(m.place);
+        for (Eigen::Index i = 0; i < at.size(); ++i) {
+            at[i] += (i % 2 == 0 ? digit : -digit) * (std::abs(place[i]) + least);
+        }
+        const Eigen::VectorXd there = rest_at(at);
+        return dt * m.matrix.size(m.matrix.solve(there - rest));
+    };
     const auto work = [&](const Eigen::VectorXd& a, const Eigen::VectorXd& b) { return (a.array() * m.matrix.weight().array() * b.array()).sum(); };
     Eigen::VectorXd x = by_node(v_) + m.ahead(), best = by_node(v_), way, rest_there;
-    if (!m.begin_step(rule.span * dt)) {
-        std::vector<T> place(size_), velocity;
-        by_component(x, velocity);
-        for (std::size_t i = 0; i < size_; ++i) {
-            place[i] = m.u0[i] + static_cast<T>(rule.span * dt) * velocity[i];
-        }
-        refresh(std::move(place), std::move(velocity));
+    by_component(x, m.middle);
+    m.place.resize(size_);
+    for (std::size_t i = 0; i < size_; ++i) {
+        m.place[i] = m.u0[i] + static_cast<T>(rule.span * dt) * m.middle[i];
+    }
+    if (m.begin_step(rule.span * dt)) {
+        m.matrix.used_at(turns_at_middle());
+    } else {
+        refresh(m.place, m.middle);
     }
     bool of_start = false;                             // whether `way` is of the start's matrix
     int quick = 0, since = 0;                          // iterations that old factors did, and since these were made
@@ -181,11 +221,11 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         good = good && std::isfinite(size);
         const bool better = good && size <= 0.9 * least;
         // Newton's own step has been gone, or no matrix leads downhill.
+        if (good && !better && size > Tolerance::tight * moves + few * m.noise) {
+            m.noise = std::max(m.noise, round_off(x, rest));
+        }
         const bool no_smaller = good && ((untried && !better) || (!fast && !(work(d, rest) > 0.0)));
-        if (good && (size <= Tolerance::tight * moves + Tolerance::round_off * spread ||
-                     (!better && size <= Tolerance::loose * moves + (fast ? 1 : 3) * Tolerance::noise_loose * spread) ||
-                     (!fast && size <= 3 * Tolerance::noise_loose * spread) ||
-                     (no_smaller && size <= Tolerance::half_digits() * moves))) {
+        if (good && (size <= Tolerance::tight * moves + few * m.noise || (no_smaller && size <= Tolerance::half_digits() * moves))) {
             m.impulse = lambda_rows_;
             return;
         }
@@ -195,7 +235,7 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
             untried = false;
             // As far as they have come so far in as many iterations, how many more are there?
             first = since == 0 ? size : first;
-            const double aim = Tolerance::tight * moves + Tolerance::round_off * spread;
+            const double aim = Tolerance::tight * moves + few * m.noise;
             const double left = since == 0 ? 0.0 : since * std::log(size / aim) / std::log(first / size);
             ++since;
             if (m.renewal_pays(left)) {

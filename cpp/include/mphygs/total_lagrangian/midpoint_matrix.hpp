@@ -7,6 +7,9 @@
 // with M the lumped mass and S what nodes share of it (`consistent_mass.hpp`).
 // A couples nodes that share a cell only: it is summed from what the points of every cell make of its nodes' motion. Without
 // the holds it has an inverse, for nodes have mass: the rows of a hold or joint are eliminated after all of their nodes.
+// A sheet resists being stretched (L / t)^2 times as much as being bent. When it has turned by a small angle, old factors take
+// a part of its bending for stretching. So they turn with it: with Q the turn of every node since they were made, and Q_r that
+// of a row, the mean of its nodes', A is taken for Q A Q^T and C for Q_r C Q^T, which is exact where all has turned alike.
 #pragma once
 
 #include <Eigen/Sparse>
@@ -15,6 +18,7 @@
 
 #include "mphygs/model.hpp"
 #include "mphygs/numerics/sparse_factors.hpp"
+#include "mphygs/small.hpp"
 
 namespace mphygs {
 
@@ -24,6 +28,10 @@ using CellNodes = std::array<std::int32_t, 27>;
 /// node b's component k.
 template <class T>
 using CellMatrix = Eigen::Matrix<T, 27, 243>;
+/// The turn of every node since the body was at rest.
+using NodeTurns = std::vector<Mat3<double>>;
+/// The rotation nearest to a sum of such; none where they cancel.
+Mat3<double> nearest_turn(const Mat3<double>& sum);
 
 class MidpointMatrix {
   public:
@@ -44,6 +52,10 @@ class MidpointMatrix {
     double work() const { return solver_.work(); }
     double entries() const { return solver_.entries(); }
 
+    /// Where the body stands as the factors are made, and where they are used from here on.
+    void made_at(NodeTurns turns);
+    void used_at(const NodeTurns& turns);
+
     /// (I - P B)^-1 b, one column after the other, (3 N, K); its transpose on one column.
     Eigen::MatrixXd solve(const Eigen::MatrixXd& b) const;
     Eigen::VectorXd solve_transposed(const Eigen::VectorXd& b) const;
@@ -57,7 +69,13 @@ class MidpointMatrix {
     /// Of the first number of A in a column for a node's motion that is a node's: those of its three components follow.
     Eigen::Index entry(int row_node, Eigen::Index column) const;
 
+    /// Q^T of the nodes' three numbers in each column, or Q; the same of the rows'.
+    static Eigen::MatrixXd turned(const NodeTurns& turns, const Eigen::MatrixXd& x, bool back);
+
     Eigen::VectorXd mass_, weight_;  // (3 N,)
+    NodeTurns made_, turns_, row_turns_;                     // at the factors' making; since then, of nodes and of rows; empty: none
+    std::vector<std::int32_t> row_begin_, row_node_;         // of the holds and joints
+    std::vector<double> row_weight_;
     // Where in the three columns of a cell's node b its node a's numbers begin, 27 b + a; -1 where a has no mass: it stays.
     using CellPlaces = std::array<std::int32_t, 27 * 27>;
     std::vector<CellNodes> cells_;

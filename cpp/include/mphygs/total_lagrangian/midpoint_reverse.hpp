@@ -36,7 +36,7 @@ template <class T>
 inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 100, patience = 25, slow_step = 8;
-    constexpr double few = 10.0;  // times round-off, which is measured once and not alike each time
+    constexpr double few = 3.0;  // times round-off, which is not alike each time
     const SubstepRule rule = run_.rule(n);
     const double dt = step_dt_[index(n)], middle = step_time_[index(n)] + rule.at * dt;
     const double elapsed = rule.elapsed * dt;
@@ -95,8 +95,10 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
             });
         return run_.by_node(sum);
     };
-    if (!m.begin_step(rule.span * dt)) {
-        m.refresh(middle, elapsed, rule.span * dt);
+    if (m.begin_step(rule.span * dt)) {
+        m.matrix.used_at(run_.turns_at_middle());
+    } else {
+        run_.refresh_midpoint(middle, elapsed, rule.span * dt);
     }
     if (trial_.of.empty()) {
         trial_ = this->sums_like_own();
@@ -107,33 +109,36 @@ inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) 
     const auto size = [&](const Eigen::VectorXd& x) { return std::sqrt((x.array() * weight.array() * x.array()).sum()); };
     Anderson mixed(weight, 20);
     Eigen::VectorXd x = m.matrix.solve_transposed(b);
-    // Phi backwards is b + L x: what a multiple of x changes beside the same multiple of that change is round-off, of terms that
-    // cancel. With factors of this very step nothing else keeps a correction from getting smaller.
-    const auto round_off = [&] {
+    // Phi backwards is affine: what a multiple of x changes beside the same multiple of that change is round-off, of terms that cancel.
+    const auto round_off = [&](const Eigen::VectorXd& at, const Eigen::VectorXd& mapped) {
         const double more = 0.1;
-        const Eigen::VectorXd own = reversed(x);
-        return size(m.matrix.solve_transposed(reversed((1.0 + more) * x) - (1.0 + more) * own + more * b));
+        const Eigen::VectorXd further = reversed((1.0 + more) * at), none = reversed(Eigen::VectorXd::Zero(at.size()));
+        return size(m.matrix.solve_transposed(further - (1.0 + more) * mapped + more * none));
     };
     double before = std::numeric_limits<double>::infinity();
     bool fresh = false;
     int i = 0;
     for (;; ++i) {
         m.spend(1.0);
-        const Eigen::VectorXd d = m.matrix.solve_transposed(reversed(x) - x);
+        const Eigen::VectorXd at = x, mapped = reversed(at), d = m.matrix.solve_transposed(mapped - at);
         const double now = size(d), moves = size(x + d), rate = std::isfinite(before) ? std::min(1.0, now / before) : std::min(1.0, now / moves);
         before = now;
         x = mixed.next(x, d);
-        if (now == 0.0 || now * rate <= Tolerance::linear * moves || (rate > 0.5 && now <= Tolerance::linear_loose * moves)) {
+        const auto done = [&] { return now == 0.0 || now * rate <= Tolerance::linear * moves || now <= few * m.bar_noise * moves; };
+        if (done()) {
             break;
         }
-        if (rate > 0.5 && fresh && now <= few * round_off()) {
-            break;
+        if (rate > 0.5 && i > 0) {
+            m.bar_noise = std::max(m.bar_noise, round_off(at, mapped) / moves);
+            if (done()) {
+                break;
+            }
         }
         if (!x.allFinite() || i == most) {
             throw SimulationError("the adjoint of the implicit step does not converge at t = " + std::to_string(step_time_[index(n)]) + " s");
         }
         if (!fresh && (i == patience || (i > slow_step && rate > 0.5))) {
-            m.refresh(middle, elapsed, rule.span * dt);
+            run_.refresh_midpoint(middle, elapsed, rule.span * dt);
             fresh = true;
             mixed.forget();
         }

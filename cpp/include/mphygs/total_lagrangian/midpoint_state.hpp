@@ -30,10 +30,8 @@ class MidpointAssembly {
 template <class T>
 struct MidpointTolerance {
     static constexpr double round_off = std::numeric_limits<T>::epsilon();
-    static constexpr double tight = round_off > 1e-10 ? 1e-5 : 1e-11, loose = 100 * tight;
-    static constexpr double linear = round_off > 1e-10 ? 1e-6 : 1e-12, linear_loose = 1000 * linear;
-    // Of the nodes' distances: a slender body makes a deflection of what is rounded in its strains.
-    static constexpr double noise_loose = 1000 * round_off;
+    static constexpr double tight = round_off > 1e-10 ? 1e-5 : 1e-11;
+    static constexpr double linear = round_off > 1e-10 ? 1e-6 : 1e-12;
     /// Half of the digits, of what moves: from here Newton's own step squares what is left, which is then less than round-off.
     /// Where a step by factors made on the spot does not make a correction smaller, round-off is what it is.
     static double half_digits() { return std::sqrt(round_off); }
@@ -53,8 +51,10 @@ struct MidpointState {
     std::vector<T> place, middle;              // displacement and velocity at its middle
     std::vector<Pack<T>> history0, history1;  // before it and after it
     std::vector<double> impulse;               // (3, rows) half of what every row of the holds gives [N s]
-    // Of what is rounded: a cell's strains vanish at rest, but with prestress every one of them is a difference of ones.
-    double length = 0;                         // [m]
+    // What round-off makes of a correction, as far as it was measured since the factors were made: of a step [m], of its adjoint
+    // as a share of what moves, and of every direction.
+    double noise = 0, bar_noise = 0;
+    std::vector<double> noises;
     /// Which of a pair the substeps from here on are: what is expected of them.
     void take(bool second) { second_ = second; }
     /// Before a step: false where it needs factors of its own. Factors serve steps that are nearly as long, as long as a step
@@ -91,6 +91,8 @@ struct MidpointState {
                                   " s: the material has inverted, or a load softens it without bound");
         }
         use_ = {span, cost_.renewal, 0.0, 1.0, false};
+        noise = bar_noise = 0.0;
+        noises.clear();
     }
 
   private:

@@ -272,6 +272,10 @@ class TotalLagrangianRun : public TotalLagrangianForces<T, K> {
     void prepare_midpoint();
     void midpoint_map(const Eigen::VectorXd& x, int n, int frame, double time, double dt);
     void stand_at_middle();
+    /// How far the body has turned around every node, where the middle is taken to be.
+    NodeTurns turns_at_middle() const;
+    /// Factors of the matrix at the middle as it stands, so long after forces were last asked for.
+    void refresh_midpoint(double time, double elapsed, double span);
     void solve_midpoint(int n, int frame, double time, double dt);
     void finish_midpoint(int n, int frame, double dt);
     /// Vectors of the values, (component, node, padded), as the matrix has them, (node, component), and back.
