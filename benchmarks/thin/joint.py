@@ -4,7 +4,7 @@
     python benchmarks/thin/joint.py --even --spacings 0.01 0.0068 0.004 0.003 # of one length
     python benchmarks/thin/joint.py --petals 1 --spacings 0.004 0.002
 
-The petals of `mphygs synth thin-flower` are 20 mm wide and fastened over 5 mm; where they overlap they are
+The petals are 20 mm wide and fastened over 5 mm; where they overlap they are
 fastened to each other. Natural frequencies about the shape at rest, without gravity.
 """
 
@@ -37,7 +37,7 @@ def main() -> None:
     given = parser.parse_args()
     if given.even:
         discretisation.grading = lambda *_: None
-    shape = thin_flower(petals=given.petals)
+    shape = thin_flower(petals=given.petals, grown=0.1)
     place = shape.tip[None]
     markers = Markers(np.tile(place, (2, 1, 1)), place, 1e-4)
     recording = Recording("a", 60.0, 2, held=(Hold(shape.hold, None, None),), markers=markers)

@@ -57,7 +57,7 @@ inline mphygs::Actuation to_actuation(const py::dict& geometry) {
 
 inline mphygs::Geometry to_geometry(const py::dict& d) {
     reject_unknown(d,
-                   {"origin", "spacing", "grid_width", "curved_node", "curved_position", "cell", "part", "points", "sparse", "surface_cell", "surface_points", "surface_area", "place_cell",
+                   {"origin", "spacing", "grid_width", "curved_node", "curved_position", "cell", "part", "points", "volume", "sparse", "surface_cell", "surface_points", "surface_area", "place_cell",
                     "places", "row_begin", "row_node", "row_weight", "row_target", "row_hold", "hold_count", "hold_centre", "part_count",
                     "actuation"},
                    "geometry");
@@ -81,6 +81,7 @@ inline mphygs::Geometry to_geometry(const py::dict& d) {
     g.cell = entry<std::int32_t>(d, "cell");
     g.part = entry<std::int32_t>(d, "part");
     g.points = entry<double>(d, "points");
+    g.volume = entry<double>(d, "volume");
     g.sparse = entry<double>(d, "sparse");
     g.surface_cell = entry<std::int32_t>(d, "surface_cell");
     g.surface_points = entry<double>(d, "surface_points");

@@ -92,14 +92,14 @@ def test_small_places_beside_a_wide_one_ask_for_nothing() -> None:
 
 
 def test_the_default_spacing_makes_up_for_cells_at_fastenings() -> None:
-    parts = thin_flower(petals=2).parts
+    parts = thin_flower(petals=2, grown=0.1).parts
     spacing, usual = spacing_worth(parts, 250), usual_spacing(parts)
     assert 1.05 * spacing < usual < 2.0**0.5 * spacing
 
 
 def test_petals_swing_as_on_fine_cells() -> None:
     """Two petals 20 mm wide, fastened over 5 mm: on even cells of 4.5 mm they swing a third too fast."""
-    shape = thin_flower(petals=2)
+    shape = thin_flower(petals=2, grown=0.1)
     capture = held_capture(shape.parts, box=shape.hold)
     moduli, density = (list(each.values()) for each in (shape.youngs_modulus, shape.density))
     belief = bar_belief(capture, youngs_modulus=moduli, density=density, poissons_ratio=0.3)

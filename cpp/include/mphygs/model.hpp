@@ -36,6 +36,7 @@ struct Geometry {
     std::vector<std::int32_t> cell;   // (B, 3) knot span of each block
     std::vector<std::int32_t> part;   // (B,)
     std::vector<double> points;       // (B, 8, 3) [m]
+    std::vector<double> volume;       // (B, 8) of the material [m^3], none: alike in all; of thin parts, see `consistent_mass.hpp`
     std::vector<double> sparse;       // (B,) or none: how much of the cell is filled where that is little, else 0
     std::vector<std::int32_t> surface_cell;  // (S, 3)
     std::vector<double> surface_points;      // (S, 8, 3) [m]

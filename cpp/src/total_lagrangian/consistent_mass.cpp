@@ -1,6 +1,10 @@
 // The mass that nodes of thin parts share: set-up, and the matrix of given masses.
 #include "mphygs/total_lagrangian/consistent_mass.hpp"
 
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+
 #include "mphygs/total_lagrangian/model.hpp"
 
 namespace mphygs {
@@ -55,12 +59,59 @@ void TotalLagrangian<T>::share_mass() {
         }
         shared_points_.push_back(points);
     }
+    leave_mass();
     for (std::size_t p = 0; p < places_.size(); ++p) {
         if (is_curved(g.place_cell[3 * p])) {
             SharedPoints<T> place{p, 1, 1, T(-1), places_[p].node};
             place.across.fill(T(1));
             place.own = place.weight[0][0] = places_[p].value;
             shared_places_.push_back(place);
+        }
+    }
+}
+
+/// Each node's mass is divided among its cells in proportion to what they take of it by itself. Where no cell takes more than a
+/// share of what it is given, whatever way its nodes move, all together take no more than this share.
+template <class T>
+void TotalLagrangian<T>::leave_mass() {
+    constexpr double most = 0.9;
+    const Geometry& g = geometry_;
+    std::vector<double> mass(node_count()), taken(node_count());
+    std::vector<std::array<double, 8>> volumes;
+    std::vector<Eigen::Matrix<double, 27, 27>> matrices;
+    for (std::size_t b = 0, at = 0; b < rows_.size(); ++b) {
+        const std::size_t block = static_cast<std::size_t>(order_[b]);
+        if (!is_curved(g.cell[3 * block])) {
+            continue;
+        }
+        const SharedPoints<T>& points = shared_points_[at++];
+        std::array<T, 8> volume;
+        for (std::size_t q = 0; q < 8; ++q) {
+            volume[q] = g.volume.empty() ? T(1) : static_cast<T>(g.volume[8 * block + q] / g.volume[0]);
+        }
+        Eigen::Matrix<double, 27, 27>& matrix = matrices.emplace_back(Eigen::Matrix<double, 27, 27>::Zero());
+        points.each(volume.data(), [&](int i, int j, T d) { matrix(i, j) = static_cast<double>(d); });
+        for (std::size_t a = 0; a < 27; ++a) {
+            const std::size_t n = static_cast<std::size_t>(points.node[a]);
+            taken[n] += matrix(static_cast<Eigen::Index>(a), static_cast<Eigen::Index>(a));
+            for (std::size_t q = 0; q < 8; ++q) {
+                mass[n] += static_cast<double>(volume[q] * masses_[static_cast<std::size_t>(table_[b])].by_node[a][static_cast<int>(q)]);
+            }
+        }
+    }
+    for (std::size_t k = 0; k < shared_points_.size(); ++k) {
+        SharedPoints<T>& points = shared_points_[k];
+        Eigen::Matrix<double, 27, 27>& matrix = matrices[k];
+        Eigen::Array<double, 27, 1> scale;
+        for (Eigen::Index a = 0; a < 27; ++a) {
+            const std::size_t n = static_cast<std::size_t>(points.node[static_cast<std::size_t>(a)]);
+            const double given = taken[n] > 0.0 ? mass[n] * matrix(a, a) / taken[n] : 0.0;
+            scale[a] = given > 0.0 ? 1.0 / std::sqrt(given) : 0.0;
+        }
+        matrix = scale.matrix().asDiagonal() * matrix * scale.matrix().asDiagonal();
+        const double largest = Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, 27, 27>>(matrix, Eigen::EigenvaluesOnly).eigenvalues().maxCoeff();
+        if (largest > most) {
+            points.scale *= static_cast<T>(most / largest);
         }
     }
 }
@@ -87,6 +138,8 @@ SharedMass<T> TotalLagrangian<T>::shared_mass(const Fields<T>& fields) const {
     return matrix;
 }
 
+template void TotalLagrangian<float>::leave_mass();
+template void TotalLagrangian<double>::leave_mass();
 template void TotalLagrangian<float>::share_mass();
 template void TotalLagrangian<double>::share_mass();
 template SharedMass<float> TotalLagrangian<float>::shared_mass(const Fields<float>&) const;

@@ -169,6 +169,7 @@ TotalLagrangian<T>::TotalLagrangian(Geometry geometry, Settings settings)
         values_.push_back(value);
         masses_.push_back(mass_table(s, &g.cell[3 * block], value));
     }
+    require(g.volume.empty() || g.volume.size() == 8 * blocks, "volume must have eight entries for every block, or none");
     require(g.sparse.empty() || g.sparse.size() == blocks, "sparse must have one entry for every block, or none");
     for (std::size_t b = 0; b < blocks; ++b) {
         const bool sparse = !g.sparse.empty() && g.sparse[static_cast<std::size_t>(order_[b])] > 0;

@@ -112,6 +112,7 @@ def discretise(
         "cell": numbered,
         "part": quadrature.part,
         "points": quadrature.points,
+        "volume": quadrature.volumes,
         "sparse": np.where(sparse & thick[quadrature.part], filled, 0.0),
         "part_count": len(parts),
     }

@@ -189,7 +189,7 @@ def thin_flower(
     thickness: float = 2.5e-4,
     stem: float = 0.1,
     head: float = 0.006,
-    grown: float = 0.1,
+    grown: float = 0.5,
 ) -> Shape:
     """An upright flower on z that carries its weight: a stem as a rod, a head, petals as shells.
 

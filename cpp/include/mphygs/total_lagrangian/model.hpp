@@ -179,6 +179,7 @@ class TotalLagrangian {
     void weights_at(const double (&s)[3], const std::int32_t* cell, double (&n)[27], double (&dn)[27][3]) const;
     void set_points(const double (&s)[8][3], const std::int32_t* cell, GradientTable<T>& gradient, ValueTable<T>& value) const;
     void share_mass();
+    void leave_mass();
     /// share[c][q][k] of point q's mass is the k-th node's along axis c.
     void mass_shares(const double (&s)[8][3], const std::int32_t* cell, double (&share)[3][8][3]) const;
     MassTable<T> mass_table(const double (&s)[8][3], const std::int32_t* cell, const ValueTable<T>& value) const;
