@@ -384,6 +384,57 @@ TEST_P(ImplicitGradient, MatrixIsTheDerivativeOfAStepsVelocity) {
     EXPECT_GT((left - e).norm(), 1e-3 * e.norm());  // forces are seen
 }
 
+TEST(MidpointMatrix, OfABodyThatHasTurnedSinceIsThatMadeThere) {
+    const Mat3<double> none = Mat3<double>::identity();
+    const Eigen::Matrix3d turn = Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, -2, 3).normalized()).toRotationMatrix();
+    Mat3<double> turned;
+    for (int i = 0; i < 9; ++i) {
+        turned[i / 3][i % 3] = turn(i / 3, i % 3);
+    }
+    test::BarOptions options = test::smaller;
+    options.two_grids = true;  // joined, and held below
+    Settings settings;
+    settings.active = test::only_active({});
+    test::Bar bar = test::make_bar(options, schedule, settings);
+    const std::size_t nodes = bar.model->node_count(), padded = bar.model->padded_nodes();
+    std::vector<double> still(3 * padded), away(3 * padded);
+    for (std::size_t n = 0; n < nodes; ++n) {
+        const Eigen::Vector3d x = Eigen::Map<const Eigen::Vector3d>(&bar.model->node_positions()[3 * n]), u = turn * x - x;
+        for (std::size_t c = 0; c < 3; ++c) {
+            away[c * padded + n] = u[static_cast<Eigen::Index>(c)];
+        }
+    }
+    const std::vector<double> mass = bar.model->node_mass(bar.fields);
+    const auto assembly = [&](const std::vector<double>& place) {
+        Team alone;
+        MidpointMatrix matrix(bar.model->geometry(), bar.model->constraint_node(), bar.model->coupled_nodes(), mass,
+                              bar.model->shared_mass(bar.fields));
+        const double span = 5e-3;
+        bar.model->midpoint_assembly(bar.fields, schedule, alone)->assemble(place, still, {}, 0.0, span, span, matrix);
+        EXPECT_TRUE(matrix.factorise());
+        return matrix;
+    };
+    const MidpointMatrix there = assembly(away);
+    MidpointMatrix before = assembly(still);
+    test::Random random(5);
+    const std::vector<double> numbers = random.numbers(3 * nodes, -1, 1);
+    const Eigen::VectorXd b = Eigen::Map<const Eigen::VectorXd>(numbers.data(), static_cast<Eigen::Index>(numbers.size()));
+    const Eigen::MatrixXd x = there.solve(b), y = there.solve_transposed(b);
+    EXPECT_GT((before.solve(b) - x).norm(), 0.1 * x.norm());
+    before.made_at(NodeTurns(nodes, none));
+    before.used_at(NodeTurns(nodes, turned));
+    // Rows of holds and joints give way by 1e-9 of what nodes do.
+    EXPECT_LT((before.solve(b) - x).norm(), 1e-8 * x.norm());
+    EXPECT_LT((before.solve_transposed(b) - y).norm(), 1e-8 * y.norm());
+    // However unlike the nodes' turns are, the transpose is that of the solution.
+    NodeTurns unlike(nodes, none);
+    for (std::size_t n = 0; n < nodes; n += 3) {
+        unlike[n] = turned;
+    }
+    before.used_at(unlike);
+    EXPECT_NEAR(b.dot(before.solve(x).col(0)), before.solve_transposed(b).dot(x.col(0)), 1e-9 * b.norm() * x.norm());
+}
+
 TEST(ImplicitGradients, OfAStiffBarInLongStepsAreThoseOfDifferences) {
     test::BarOptions o;
     o.young[0] = o.young[1] = 1e9;
