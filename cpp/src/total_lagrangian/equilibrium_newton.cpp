@@ -58,8 +58,7 @@ Equilibrium::Solution Equilibrium::solve(const Fields<double>& fields, const std
     for (const double next : stiff_to_soft) {
         unseen_ = next;
         try {
-            // From the solution with stiffer springs it takes a few steps, or never gets there.
-            if (!newton(tolerance, map.empty() ? iterations : std::min(iterations, iterations_at_once), s)) {
+            if (!newton(tolerance, iterations, s)) {
                 break;
             }
         } catch (const SimulationError&) {

@@ -102,7 +102,7 @@ template <class T, int L>
 inline void TotalLagrangianDirections<T, L>::midpoint_step(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 100, patience = 25;
-    constexpr double few = 3.0;  // times round-off, which is not alike each time
+    constexpr double few = 10.0;  // times round-off, which is not alike each time
     value_.solve_midpoint(n, frame, time, dt);
     value_.stand_at_middle();
     MidpointState<T>& m = *value_.midpoint_;

@@ -6,11 +6,12 @@
 // leave of a velocity: C (u_n + h v_m) = hold at n+1. Of v_n+1 the part that the holds prescribe is the hold's mean velocity
 // in the step: reflected at the middle it would change its sign from step to step. Nothing that follows depends on it. The
 // second step of a pair does not reflect, and what nodes share of their mass asks for it: the first leaves it as it is.
-// Newton's method with old factors, made faster by Anderson's, and with new ones where the iterations that are left would
-// cost more than these. Where its corrections do not get smaller it goes on with factors of its own at every velocity, and
-// with as much of a correction as forces still drive along it: with a definite matrix that is downhill in the step's
-// potential. A sheet that turns is compressed on the way, and its own matrix one of buckling, or nearly: then it is that of
-// the step's start, where forces are in balance.
+// Newton's method with old factors that turn with the body, made faster by Anderson's, and with new ones where the iterations that
+// are left would cost more than these. It ends at a small share of what moves, or at what round-off makes of a correction: a slender
+// body makes a deflection of what is rounded in its strains, and how large that is shows where places differ in their last digit.
+// Where its corrections do not get smaller it goes on with factors of its own at every velocity, and with as much of a correction
+// as forces still drive along it: with a definite matrix that is downhill in the step's potential. A sheet that turns is compressed
+// on the way, and its own matrix one of buckling, or nearly: then it is that of the step's start, where forces are in balance.
 #pragma once
 
 #include "mphygs/total_lagrangian/holds.hpp"
@@ -122,7 +123,8 @@ template <class T, int K>
 inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double time, double dt) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 200, patience = 30;
-    constexpr double overshoot = 0.9, shortest = 1e-3, nearly_singular = 0.1, few = 3.0;
+    constexpr double overshoot = 0.9, shortest = 1e-3, nearly_singular = 0.1;
+    constexpr double few = 10.0;  // times round-off, which is not alike each time
     prepare_midpoint();
     MidpointState<T>& m = *midpoint_;
     const SubstepRule rule = this->rule(n);
@@ -221,10 +223,10 @@ inline void TotalLagrangianRun<T, K>::solve_midpoint(int n, int frame, double ti
         good = good && std::isfinite(size);
         const bool better = good && size <= 0.9 * least;
         // Newton's own step has been gone, or no matrix leads downhill.
-        if (good && !better && size > Tolerance::tight * moves + few * m.noise) {
+        const bool no_smaller = good && ((untried && !better) || (!fast && !(work(d, rest) > 0.0)));
+        if (good && (!better || no_smaller) && size > Tolerance::tight * moves + few * m.noise) {
             m.noise = std::max(m.noise, round_off(x, rest));
         }
-        const bool no_smaller = good && ((untried && !better) || (!fast && !(work(d, rest) > 0.0)));
         if (good && (size <= Tolerance::tight * moves + few * m.noise || (no_smaller && size <= Tolerance::half_digits() * moves))) {
             m.impulse = lambda_rows_;
             return;

@@ -36,7 +36,7 @@ template <class T>
 inline void TotalLagrangianReverse<T>::reverse_midpoint(int n, const Record& r) {
     using Tolerance = MidpointTolerance<T>;
     constexpr int most = 100, patience = 25, slow_step = 8;
-    constexpr double few = 3.0;  // times round-off, which is not alike each time
+    constexpr double few = 10.0;  // times round-off, which is not alike each time
     const SubstepRule rule = run_.rule(n);
     const double dt = step_dt_[index(n)], middle = step_time_[index(n)] + rule.at * dt;
     const double elapsed = rule.elapsed * dt;
