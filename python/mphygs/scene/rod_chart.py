@@ -80,15 +80,21 @@ def centre_line(part: Part) -> CentreLine:
     along = dijkstra(graph, directed=False, indices=end)
     weight = _vertex_areas(vertices, faces)
     width = np.sqrt(part.volume / along.max())
-    if along.max() < SLENDER * width:
-        raise ValueError(
-            f"part '{part.name}': {along.max():.3g} m long and {width:.3g} m wide, expected a rod at least "
-            f'{SLENDER:g} times as long as wide, or "as": "solid"'
-        )
+    _check_slender(along, width, part.name)
     for _ in range(_ROUNDS):
         line = _fitted(along, vertices, weight, width)
         along = _along(line, vertices)
+    _check_slender(along, width, part.name)  # over the surface it is longer
     return _with_sections(line, vertices, weight, along, width, part.name)
+
+
+def _check_slender(along: np.ndarray, width: float, name: str) -> None:
+    length = np.ptp(along)
+    if length < SLENDER * width:
+        raise ValueError(
+            f"part '{name}': {length:.3g} m long and {width:.3g} m wide, expected a rod at least "
+            f'{SLENDER:g} times as long as wide, or "as": "solid"'
+        )
 
 
 def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -140,7 +146,8 @@ def _with_sections(
     """Directions carried along the line without turning about it, along the section's principal axes."""
     tangent = np.gradient(line, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    if np.linalg.norm(line[0] - line[-1]) < 2.0 * width:
+    apart = np.linalg.norm(line[0] - line[-1])
+    if apart < 2.0 * width and apart < 0.5 * np.linalg.norm(np.diff(line, axis=0), axis=1).sum():
         raise ValueError(
             f"part '{name}': a rod that closes to a ring, expected two ends, or \"as\": \"solid\""
         )
