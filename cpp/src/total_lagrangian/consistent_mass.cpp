@@ -77,7 +77,6 @@ void TotalLagrangian<T>::leave_mass() {
     constexpr double most = 0.9;
     const Geometry& g = geometry_;
     std::vector<double> mass(node_count()), taken(node_count());
-    std::vector<std::array<double, 8>> volumes;
     std::vector<Eigen::Matrix<double, 27, 27>> matrices;
     for (std::size_t b = 0, at = 0; b < rows_.size(); ++b) {
         const std::size_t block = static_cast<std::size_t>(order_[b]);
@@ -87,7 +86,7 @@ void TotalLagrangian<T>::leave_mass() {
         const SharedPoints<T>& points = shared_points_[at++];
         std::array<T, 8> volume;
         for (std::size_t q = 0; q < 8; ++q) {
-            volume[q] = g.volume.empty() ? T(1) : static_cast<T>(g.volume[8 * block + q] / g.volume[0]);
+            volume[q] = g.volume.empty() ? T(1) : static_cast<T>(g.volume[8 * block + q]);
         }
         Eigen::Matrix<double, 27, 27>& matrix = matrices.emplace_back(Eigen::Matrix<double, 27, 27>::Zero());
         points.each(volume.data(), [&](int i, int j, T d) { matrix(i, j) = static_cast<double>(d); });
