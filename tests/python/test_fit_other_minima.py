@@ -12,7 +12,7 @@ from bar_capture import bar_belief, bar_capture
 from command_example import answer
 from mphygs.commands import fit, synth
 from mphygs.fit.levenberg_marquardt import Solution
-from mphygs.fit.other_minima import lower_along
+from mphygs.fit.other_minima import beyond_crests, lower_along
 from mphygs.fit.problem import Evaluation
 from mphygs.model.belief import Belief
 from mphygs.simulate.errors import SimulationError
@@ -52,6 +52,40 @@ def test_a_lower_cost_on_a_shoulder_of_the_valley_is_found() -> None:
     assert first == pytest.approx(np.exp(-16.0 / 130.0)) and second == pytest.approx(np.exp(-8.0 / 130.0))
     assert lower(Shoulder(0.0)) == []
     assert lower(Shoulder(60.0, least=0.92e5)) == [pytest.approx(np.exp(-8.0 / 130.0))]
+
+
+class Ripples:
+    """A wide valley about 100 kPa with ripples, a factor of exp(0.15) from one to the next; softer than
+    `least` nothing can be simulated."""
+
+    def __init__(self, high: float, least: float = 0.0) -> None:
+        self.high, self.least, self.asked = high, least, 0
+
+    def evaluate(self, belief: Belief, *, jacobian: bool = True) -> Evaluation:
+        self.asked += 1
+        value = belief[KEY].value
+        if value < self.least:
+            raise SimulationError("unstable")
+        x = np.log(value / 1e5)
+        phase = np.pi * x / 0.15
+        slopes = np.array([[self.high * np.pi / 0.15 * np.cos(phase)], [30.0], [0.0]])
+        return Evaluation(np.array([self.high * np.sin(phase), 30.0 * x, 60.0]), slopes, 3, 0, {}, {}, 1)
+
+
+def test_minima_beyond_the_crests_of_a_valley_are_found() -> None:
+    def beyond(problem: Ripples, at: float) -> list[float]:
+        belief = bar_belief(bar_capture(), youngs_modulus=1e5 * np.exp(at), free=(KEY,))
+        solution = Solution(belief, problem.evaluate(belief), (0.0,), True, "converged")
+        return [np.log(there[KEY].value / 1e5) for there in beyond_crests(problem, solution)]
+
+    step = 0.02
+    found = beyond(Ripples(20.0), 0.45)
+    assert found[:2] == pytest.approx([0.0, 0.15], abs=step)
+    assert len(found) >= 6  # those of a higher cost behind
+    assert beyond(Ripples(20.0), -0.45)[0] == pytest.approx(0.0, abs=step)
+    assert beyond(Ripples(20.0, least=1e5 * np.exp(0.1)), 0.45)[0] == pytest.approx(0.15, abs=step)
+    smooth = Ripples(0.0)
+    assert beyond(smooth, 0.0) == [] and smooth.asked < 5
 
 
 @pytest.mark.slow

@@ -5,6 +5,10 @@ grid's own error can be more than what lies between two of them.
 
 One may be so near that it is a shoulder of the same valley, and only there on one of the grids. It is seen
 from the minimum itself: a few standard errors along the valley the cost rises less than the curvature says.
+
+What swings faster than frames follow has many, a swing more or less within the frames each: so near to each
+other that no search for a scale is as fine. Where a few standard errors of a stiffness lead to the crest of
+the first, it is followed at steps a fraction of that over all that other searches leave between their own.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ import numpy as np
 
 from mphygs.fit.levenberg_marquardt import Solution, covariance, minimise, report_of_iterations
 from mphygs.fit.problem import Problem
-from mphygs.model.belief import Belief
+from mphygs.model.belief import Belief, Parameter
 from mphygs.simulate.errors import SimulationError
 
 # Factor on the stiffness of one part after the other from where another minimum is looked for.
@@ -28,6 +32,9 @@ NEAR = 1.1
 # Standard errors by the noise, along the valley of a stiffness, where the cost is looked at, one after the
 # other as long as it has risen by less than this share of what the curvature says.
 ALONG, FLAT = (4.0, 8.0, 16.0), 0.5
+# Standard errors of a stiffness by itself at which a crest is looked for, where the cost has risen by less
+# than `FLAT` says; steps between there and the minimum in which the cost is followed, and how many on a side.
+CRESTS, STEPS, FARTHEST = (8.0, 16.0, 32.0), 4, 40
 # Minima are the same where no logarithm of a stiffness differs by more.
 SAME = 0.1
 
@@ -81,6 +88,65 @@ def lower_along(problem: Problem, found: Solution) -> list[Belief]:
                 if rise > FLAT * 0.5 * far**2:
                     break
     return [there for _, there in sorted(lower, key=lambda item: item[0])]
+
+
+def beyond_crests(problem: Problem, found: Solution) -> list[Belief]:
+    """Where the cost has minima as one stiffness alone is followed from that of a solution, the lowest first,
+    of a cost that the other numbers may make lower than it has; none where no crest is nearby."""
+    belief, evaluation = found.belief, found.evaluation
+    minima: list[tuple[float, Belief]] = []
+    for index, parameter in enumerate(belief.free):
+        slope = float(np.linalg.norm(evaluation.jacobian[:, index]))
+        if not parameter.key.endswith(".youngs_modulus") or slope == 0.0:
+            continue
+
+        def at(way: float, parameter: Parameter = parameter) -> tuple[float, Belief] | None:
+            value = parameter.value * np.exp(way)
+            if not parameter.lower <= value <= parameter.upper:
+                return None
+            there = belief.with_parameter(parameter.key, value=value)
+            try:
+                return problem.evaluate(there, jacobian=False).cost, there
+            except SimulationError:
+                return None
+
+        crest = _crest(at, evaluation.cost, slope)
+        if crest is None:
+            continue
+        step = crest / STEPS
+        count = min(FARTHEST, int(np.log(APART) / step))
+        for way in (step, -step):
+            line = [(evaluation.cost, belief)]
+            for number in range(1, count + 1):
+                point = at(number * way)
+                if point is None:
+                    break
+                line.append(point)
+            minima += [
+                here
+                for before, here, after in zip(line, line[1:], line[2:], strict=False)
+                if here[0] < min(before[0], after[0], NEAR * evaluation.cost)
+            ]
+    return [there for _, there in sorted(minima, key=lambda item: item[0])]
+
+
+def _crest(
+    at: Callable[[float], tuple[float, Belief] | None], cost: float, slope: float
+) -> float | None:
+    """How far from a minimum the cost has stopped to rise as its curvature says, as a factor's logarithm;
+    None where it has not, up to where others are looked for anyway."""
+    for side in (1.0, -1.0):
+        for far in CRESTS:
+            if far / slope > np.log(APART):
+                return None
+            point = at(side * far / slope)
+            if point is None:
+                break
+            if point[0] - cost < FLAT * 0.5 * far**2:
+                return far / slope
+        else:
+            return None
+    return None
 
 
 def lowest_of(

@@ -11,7 +11,7 @@ import numpy as np
 from mphygs.capture.format import Capture
 from mphygs.compare.noise import Observation
 from mphygs.fit.levenberg_marquardt import Solution, minimise, report_of_iterations
-from mphygs.fit.other_minima import lower_along, lowest_of, other_minima
+from mphygs.fit.other_minima import beyond_crests, lower_along, lowest_of, other_minima
 from mphygs.fit.part_scales import on_by_part
 from mphygs.fit.problem import Evaluation, Problem
 from mphygs.fit.spacings import FINE, deciding_spacing, default_spacing
@@ -36,6 +36,8 @@ HOPELESS, HOPELESS_ITERATIONS = 5.0, 2
 # How many iterations a stage takes, as far as progress is concerned, and how many refits the last one of an
 # object of several parts takes to look for other minima: from one or two of a coarser grid, along the valley.
 USUAL_ITERATIONS, SEARCHES = 5, 3
+# Minima beyond the crests of a stiff part's valley that a fit is taken to.
+BEYOND = 2
 # A model that leaves so many times as much when it comes to a finer grid, and so many sigma, is brought
 # onward there from its first frames: thin parts had other materials on the coarse one. Shares of the frames
 # and iterations.
@@ -193,7 +195,8 @@ def fit_belief(
             others = other_minima(coarse, last, aside or report)
             solution = lowest_of(problem, solution, others, report, **given)
         if number + 1 == len(plan) and solution.evaluation.misfit < HOPELESS:
-            lower = lowest_of(problem, solution, lower_along(problem, solution)[:1], report, **given)
+            others = [*lower_along(problem, solution)[:1], *beyond_crests(problem, solution)[:BEYOND]]
+            lower = lowest_of(problem, solution, others, report, **given)
             solution = replace(lower, start=solution.start)  # the minimum of the coarser grid is the same
         belief = solution.belief
         earlier, last, misfit = last, belief, solution.evaluation.misfit
