@@ -91,8 +91,8 @@ def lower_along(problem: Problem, found: Solution) -> list[Belief]:
 
 
 def beyond_crests(problem: Problem, found: Solution) -> list[Belief]:
-    """Where the cost has minima as one stiffness alone is followed from that of a solution, the lowest first,
-    of a cost that the other numbers may make lower than it has; none where no crest is nearby."""
+    """Where the cost has minima as one stiffness alone is followed from that of a solution, the lowest first;
+    none where no crest is nearby. How much lower the other numbers would make them is not known yet."""
     belief, evaluation = found.belief, found.evaluation
     minima: list[tuple[float, Belief]] = []
     for index, parameter in enumerate(belief.free):
@@ -125,7 +125,7 @@ def beyond_crests(problem: Problem, found: Solution) -> list[Belief]:
             minima += [
                 here
                 for before, here, after in zip(line, line[1:], line[2:], strict=False)
-                if here[0] < min(before[0], after[0], NEAR * evaluation.cost)
+                if here[0] < min(before[0], after[0])
             ]
     return [there for _, there in sorted(minima, key=lambda item: item[0])]
 
