@@ -316,6 +316,7 @@ def beside() -> Part:
         (beside(), "several pieces"),
         (strip(0.01, 0.01, 0.009, held=0.0, shape="rod"), "a rod at least 3 times as long"),
         (ring(), "to a ring"),
+        (rod(0.1, bend=62.0, held=0.0), "closes to a ring"),
         (folded(), "bends more sharply|folds onto itself|closes on itself"),
     ],
 )
@@ -323,6 +324,11 @@ def test_what_is_no_rod_or_shell_says_so_in_a_line(part: Part, expected: str) ->
     with pytest.raises(ValueError, match=expected) as caught:
         lay_chart(part, 0.004)
     assert "\n" not in str(caught.value)
+
+
+def test_a_rod_a_little_longer_than_wide_is_one() -> None:
+    # Its ends are nearer to each other than two widths, as those of a ring.
+    assert lay_chart(rod(0.007, held=0.0), 0.004).kind == "rod"
 
 
 def test_the_other_transfer_has_solids_only() -> None:

@@ -90,9 +90,14 @@ def lower_along(problem: Problem, found: Solution) -> list[Belief]:
     return [there for _, there in sorted(lower, key=lambda item: item[0])]
 
 
-def beyond_crests(problem: Problem, found: Solution) -> list[Belief]:
+def beyond_crests(
+    problem: Problem, found: Solution, report: Callable[[str], None] | None = None
+) -> list[Belief]:
     """Where the cost has minima as one stiffness alone is followed from that of a solution, the lowest first;
-    none where no crest is nearby. How much lower the other numbers would make them is not known yet."""
+    none where no crest is nearby. How much lower the other numbers would make them is not known yet.
+
+    report: told of every stiffness that is followed, for it takes a while.
+    """
     belief, evaluation = found.belief, found.evaluation
     minima: list[tuple[float, Belief]] = []
     for index, parameter in enumerate(belief.free):
@@ -115,6 +120,8 @@ def beyond_crests(problem: Problem, found: Solution) -> list[Belief]:
             continue
         step = crest / STEPS
         count = min(FARTHEST, int(np.log(APART) / step))
+        if report:
+            report(f"{parameter.key}: over the crests of its valley, {count} steps to each side")
         for way in (step, -step):
             line = [(evaluation.cost, belief)]
             for number in range(1, count + 1):

@@ -195,7 +195,8 @@ def fit_belief(
             others = other_minima(coarse, last, aside or report)
             solution = lowest_of(problem, solution, others, report, **given)
         if number + 1 == len(plan) and solution.evaluation.misfit < HOPELESS:
-            others = [*lower_along(problem, solution)[:1], *beyond_crests(problem, solution)[:BEYOND]]
+            beyond = beyond_crests(problem, solution, report)[:BEYOND]
+            others = [*lower_along(problem, solution)[:1], *beyond]
             lower = lowest_of(problem, solution, others, report, **given)
             solution = replace(lower, start=solution.start)  # the minimum of the coarser grid is the same
         belief = solution.belief

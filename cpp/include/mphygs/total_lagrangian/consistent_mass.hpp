@@ -7,7 +7,8 @@
 // over the axes c along the part, what stays is right to the order of h^2, as that of the consistent mass sum_q m_q N_a N_b is;
 // but what alternates from node to node, which points that are drawn in hardly see, keeps all of its mass. Across a part the
 // nodes keep the moments that `mass_table` gives them. Cells that are hardly filled, at one end, could share more than their nodes
-// have: there D is as much smaller as leaves every motion of the nodes a tenth of its lumped mass. A mass at a place may be larger than a cell's: there it is the
+// have: there D is as much smaller as leaves every motion of the nodes a tenth of its lumped mass. A mass at a place may be larger
+// than a cell's: there it is the
 // consistent one, D = m (diag(N_a) - N_a N_b), which leaves no mass negative.
 //
 // An implicit step is M_L (v - v_0) = span f + D (v - v_0): its nodes push each other by D (v - v_0) / span, and all that has
